@@ -1,0 +1,1 @@
+"""The shared physics and the estimator."""

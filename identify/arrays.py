@@ -1,0 +1,38 @@
+"""Small helpers for arrays that records hold."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Floats", "Ints", "frozen", "rotation_of", "skew"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
+    """Copy ``values`` into a read-only array of ``dtype``, any shape."""
+    array = np.array(values, dtype=dtype)
+    array.setflags(write=False)
+    return array
+
+
+def skew(vectors: Floats) -> Floats:
+    """Matrices ``[v]x`` with ``[v]x w = v x w``; ``vectors`` (..., 3) -> (..., 3, 3)."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotation_of(vector: Floats) -> Floats:
+    """Rotation matrix (3, 3) of a rotation vector (3,), rad (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    cross = skew(vector)
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    matrix: Floats = np.eye(3) + first * cross + second * cross @ cross
+    return matrix

@@ -1,0 +1,134 @@
+"""What is measured and under which conditions: visits of poses, shots under loads, rows of markers.
+
+A *visit* is one approach of a pose; a *shot* is one load and one repeat within a visit; a *row* is one
+marker within a shot. Pose jitter is new for each visit, reading jitter for each shot, instrument
+noise for each row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identify.arrays import Floats, Ints, frozen
+from identify.loads import LoadCase, Markers
+
+__all__ = ["Experiment", "Measurements", "full_experiment"]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Conditions of R rows in S shots of V visits.
+
+    Attributes:
+        visits: (V,) names of the visits.
+        q: (C, n) joint values, rad or m, robot file's convention. Usually one row a visit; more where
+            the rows of one visit state different values.
+        loads: The load cases that shots refer to.
+        markers: The markers that rows refer to.
+        shot_visit: (S,) index into ``visits``.
+        shot_pose: (S,) index into ``q``.
+        shot_load: (S,) index into ``loads``.
+        shot_repeat: (S,) number of the repeated reading.
+        row_shot: (R,) index into shots; rows of one visit stand together.
+        row_marker: (R,) index into ``markers``.
+        wrench: (S, 6) measured wrench at the attach point of the shot's load, deflected flange frame,
+            N and Nm; replaces the loads where given.
+        approach: (V, n) sign of the last motion of each joint, or None.
+        time: (R,) s, or None.
+        temperature: (R,) degC, or None.
+    """
+
+    visits: tuple[str, ...]
+    q: Floats
+    loads: tuple[LoadCase, ...]
+    markers: Markers
+    shot_visit: Ints
+    shot_pose: Ints
+    shot_load: Ints
+    shot_repeat: Ints
+    row_shot: Ints
+    row_marker: Ints
+    wrench: Floats | None = None
+    approach: Floats | None = None
+    time: Floats | None = None
+    temperature: Floats | None = None
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for key in ("shot_visit", "shot_pose", "shot_load", "shot_repeat", "row_shot", "row_marker"):
+            object.__setattr__(self, key, frozen(getattr(self, key), np.int64))
+        for key in ("q", "wrench", "approach", "time", "temperature"):
+            if getattr(self, key) is not None:
+                object.__setattr__(self, key, frozen(getattr(self, key)))
+
+    @property
+    def row_visit(self) -> Ints:
+        """(R,) visit of each row."""
+        visit: Ints = self.shot_visit[self.row_shot]
+        return visit
+
+    @property
+    def shot_unloaded(self) -> np.ndarray:
+        """(S,) True where nothing hangs on the flange."""
+        if self.wrench is not None:
+            return np.asarray(~self.wrench.any(axis=1))
+        return np.array([load.unloaded for load in self.loads])[self.shot_load]
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """Positions read under the conditions of an experiment.
+
+    Attributes:
+        experiment: The conditions, R rows.
+        positions: (R, 3) m, in the frame of the measurements.
+        quaternions: (R, 4) w, x, y, z of a 6-D target, or None.
+        lines: (R,) line of each row in the file (the header is line 1).
+        source: Path of the file, or a word for where the rows come from.
+        ignored_columns: Columns of the file that were not used.
+    """
+
+    experiment: Experiment
+    positions: Floats
+    lines: Ints
+    quaternions: Floats | None = None
+    source: str = ""
+    ignored_columns: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        object.__setattr__(self, "positions", frozen(self.positions))
+        object.__setattr__(self, "lines", frozen(self.lines, np.int64))
+        if self.quaternions is not None:
+            object.__setattr__(self, "quaternions", frozen(self.quaternions))
+
+
+def full_experiment(
+    q: Floats, visit_loads: Ints, loads: tuple[LoadCase, ...], markers: Markers, visits: tuple[str, ...] | None = None
+) -> Experiment:
+    """The regular experiment: every visit takes ``visit_loads`` shots and every shot reads all markers.
+
+    Args:
+        q: (V, n) joint values.
+        visit_loads: (V, L) index of the load of each shot, in the order of measuring.
+        loads: Load cases.
+        markers: Markers.
+        visits: Names; P001, P002, ... by default.
+    """
+    count, shots = visit_loads.shape
+    rows = count * shots * len(markers.names)
+    width = max(3, len(str(count)))
+    return Experiment(
+        visits=visits or tuple(f"P{i + 1:0{width}d}" for i in range(count)),
+        q=q,
+        loads=loads,
+        markers=markers,
+        shot_visit=np.repeat(np.arange(count), shots),
+        shot_pose=np.repeat(np.arange(count), shots),
+        shot_load=visit_loads.ravel(),
+        shot_repeat=np.ones(count * shots, dtype=np.int64),
+        row_shot=np.repeat(np.arange(count * shots), len(markers.names)),
+        row_marker=np.tile(np.arange(len(markers.names)), rows // max(len(markers.names), 1)),
+    )

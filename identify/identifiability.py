@@ -1,0 +1,123 @@
+"""Which parameters the rows can show, decided by rank in a stated order of preference.
+
+Columns are scaled to unit length; one that lies within `TOLERANCE` of the span of those kept before
+it adds nothing, is held at its nominal value and is reported with the columns it cannot be told from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from identify.arrays import Floats, Ints
+from identify.model import Model
+
+__all__ = ["TOLERANCE", "Dropped", "Identifiability", "independent_columns", "triangle", "why_not"]
+
+TOLERANCE = 1e-9
+_CHUNK = 100_000
+_ROUNDING = 64 * float(np.finfo(np.float64).eps)  # a column below this share of the largest is rounding noise
+_SHARE = 1e-6  # a kept column takes part if it carries this share of a dropped one
+
+
+@dataclass(frozen=True, eq=False)
+class Dropped:
+    """A column that adds nothing.
+
+    Attributes:
+        column: Its index.
+        alike: Indices of the kept columns it is a combination of; empty if it is zero.
+        coefficients: The combination: column = sum coefficients * kept columns.
+        std: What its standard deviation would at least be, in its unit; infinite if it adds nothing at all.
+    """
+
+    column: int
+    alike: tuple[int, ...]
+    coefficients: Floats
+    std: float = float("inf")
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """Kept and dropped columns.
+
+    Attributes:
+        kept: (rank,) indices of the kept columns, ascending.
+        dropped: The others.
+    """
+
+    kept: Ints
+    dropped: tuple[Dropped, ...]
+
+    @property
+    def rank(self) -> int:
+        """Number of kept columns."""
+        return len(self.kept)
+
+
+def triangle(parts: Iterable[Floats]) -> Floats:
+    """R factor (p, p) of stacked rows, given in parts (K_i, p), without ever stacking them."""
+    upper: Floats | None = None
+    for part in parts:
+        for start in range(0, max(len(part), 1), _CHUNK):
+            rows = part[start : start + _CHUNK]
+            stacked = rows if upper is None else np.vstack([upper, rows])
+            upper = np.linalg.qr(stacked, mode="r")
+    if upper is None:
+        return np.zeros((0, 0))
+    return upper
+
+
+def independent_columns(upper: Floats, limits: Floats | None = None) -> Identifiability:
+    """Keep columns from left to right as long as they add a direction.
+
+    Args:
+        upper: (m, p) whitened rows or their R factor.
+        limits: (p,) keep a column only if its standard deviation, with all later ones fixed, is within this limit.
+    """
+    norms = np.linalg.norm(upper, axis=0)
+    norms = np.where(norms > _ROUNDING * norms.max(initial=0.0), norms, 0.0)
+    smallest = TOLERANCE * norms if limits is None else np.maximum(TOLERANCE * norms, 1.0 / limits)
+    basis = np.zeros((upper.shape[0], 0))
+    kept: list[int] = []
+    dropped: list[tuple[int, float]] = []
+    for column in range(upper.shape[1]):
+        fresh = upper[:, column]
+        for _ in range(2):  # twice is enough (Kahan, Parlett)
+            fresh = fresh - basis @ (basis.T @ fresh)
+        size = np.linalg.norm(fresh)
+        if norms[column] > 0 and size > smallest[column]:
+            basis = np.column_stack([basis, fresh / size])
+            kept.append(column)
+        else:
+            dropped.append((column, 1.0 / size if size > TOLERANCE * norms[column] > 0 else np.inf))
+    return Identifiability(np.array(kept, dtype=np.int64), tuple(_explain(upper, norms, kept, *d) for d in dropped))
+
+
+def _explain(upper: Floats, norms: Floats, kept: list[int], column: int, std: float) -> Dropped:
+    """Write a dropped column as a combination of kept ones."""
+    if norms[column] == 0.0 or not kept:
+        return Dropped(column, (), np.zeros(0), std)
+    unit = upper[:, kept] / norms[kept]
+    share = np.linalg.lstsq(unit, upper[:, column] / norms[column], rcond=None)[0]
+    used = np.abs(share) > _SHARE
+    alike = tuple(np.array(kept)[used].tolist())
+    return Dropped(column, alike, share[used] * norms[column] / norms[list(alike)], std)
+
+
+def why_not(model: Model, dropped: Dropped) -> str:
+    """In words, why a parameter cannot be identified."""
+    names = model.names
+    if np.isfinite(dropped.std):
+        unit = model.parameters[dropped.column].unit
+        return f"these data tell it to no better than {dropped.std:.2g} {unit}; held at its nominal value"
+    if dropped.alike:
+        others = ", ".join(names[other] for other in dropped.alike[:4])
+        more = f" and {len(dropped.alike) - 4} more" if len(dropped.alike) > 4 else ""
+        return f"moves the markers exactly like {others}{more}; held at its nominal value"
+    for effect, where in zip(model.effects, model.effect_slices, strict=True):
+        if where.start <= dropped.column < where.stop:
+            return effect.why_zero(dropped.column - where.start)
+    return "no reading depends on it"

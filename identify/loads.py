@@ -1,0 +1,66 @@
+"""What hangs on the flange: load cases and measuring points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identify.arrays import Floats, frozen
+
+__all__ = ["LoadCase", "Markers"]
+
+
+@dataclass(frozen=True, eq=False)
+class LoadCase:
+    """One load: a hung mass and/or a wrench at a point of the flange.
+
+    Attributes:
+        name: Its id in tables.
+        mass: Hung mass, kg; its weight acts along world -z.
+        attach: (3,) where it acts, flange frame, m.
+        force: (3,) N, added to the weight.
+        moment: (3,) Nm about the attach point.
+        in_flange: True if force and moment turn with the flange; else they are world vectors.
+        mass_std: 1 sigma of the mass, kg.
+        attach_std: 1 sigma of each coordinate of the attach point, m.
+    """
+
+    name: str
+    mass: float = 0.0
+    attach: Floats = field(default_factory=lambda: frozen(np.zeros(3)))
+    force: Floats = field(default_factory=lambda: frozen(np.zeros(3)))
+    moment: Floats = field(default_factory=lambda: frozen(np.zeros(3)))
+    in_flange: bool = False
+    mass_std: float = 0.0
+    attach_std: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for key in ("attach", "force", "moment"):
+            object.__setattr__(self, key, frozen(getattr(self, key)))
+
+    @property
+    def unloaded(self) -> bool:
+        """True if nothing is hung and no wrench acts."""
+        return self.mass == 0.0 and not self.force.any() and not self.moment.any()
+
+
+@dataclass(frozen=True, eq=False)
+class Markers:
+    """Measuring points.
+
+    Attributes:
+        names: Their ids, flange markers first.
+        positions: (M, 3) m, in the flange frame (or the base frame where ``on_base``).
+        on_base: (M,) True for targets on the base or the floor.
+    """
+
+    names: tuple[str, ...]
+    positions: Floats
+    on_base: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        object.__setattr__(self, "positions", frozen(self.positions))
+        object.__setattr__(self, "on_base", frozen(self.on_base, bool))

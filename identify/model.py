@@ -1,0 +1,228 @@
+"""A model is a robot plus effects; with frame and markers it says where every reading should be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identify.arrays import Floats, frozen, rotation_of, skew
+from identify.effects import Effect, Parameter, Scene, bind_effects, build_scene
+from identify.errors import InputError
+from identify.experiment import Experiment
+from identify.kinematics import forward
+from identify.robot import Robot
+from identify.study import Study
+from identify.units import MM, MRAD
+
+__all__ = ["Model", "Response", "model_of", "respond", "without_nuisance"]
+
+_NUDGE = 1e-3  # mm or mrad
+_FRAME = (*((axis, "mm", MM) for axis in "xyz"), *((f"r{axis}", "mrad", MRAD) for axis in "xyz"))
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Robot, effects and the nuisance parameters of frame and markers.
+
+    Attributes:
+        robot: The nominal robot.
+        effects: Effects bound to it.
+        parameters: All p parameters: frame, markers, then the effects' in their order.
+        frame_size: Number of frame parameters (6 or 0).
+        marker_size: Number of marker parameters (3 a marker or 0).
+        self_weight: The weight of links and tool is counted.
+    """
+
+    robot: Robot
+    effects: tuple[Effect, ...]
+    parameters: tuple[Parameter, ...]
+    frame_size: int
+    marker_size: int
+    self_weight: bool
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def nominal(self) -> Floats:
+        """(p,) starting values in the parameters' units."""
+        return frozen([parameter.nominal for parameter in self.parameters])
+
+    @property
+    def nuisance(self) -> np.ndarray:
+        """(p,) True for frame and markers."""
+        return np.array([parameter.nuisance for parameter in self.parameters], dtype=bool)
+
+    @property
+    def effect_slices(self) -> tuple[slice, ...]:
+        """Where each effect's parameters stand."""
+        sizes = [len(effect.parameters) for effect in self.effects]
+        ends = self.frame_size + self.marker_size + np.cumsum(sizes)
+        return tuple(slice(int(end) - size, int(end)) for end, size in zip(ends, sizes, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """What a model says about an experiment.
+
+    Attributes:
+        scene: The fields it was computed from.
+        position: (R, 3) readings in the base frame (displaced by the frame parameters), m.
+        deflection: (R, 3) the elastic and other displacement contained in it, m.
+        derivative: (R, 3, p) m per unit of each parameter, or None if not asked for.
+    """
+
+    scene: Scene
+    position: Floats
+    deflection: Floats
+    derivative: Floats | None
+
+
+def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapping[str, float] | None = None) -> Model:
+    """The model of a study.
+
+    Args:
+        study: The study.
+        effects: Another list of effects than the study's.
+        nominal: Other starting values than the study's, by parameter name, in result units.
+
+    Raises:
+        InputError: Unknown effect, place or parameter name.
+    """
+    bound = bind_effects(study.effects if effects is None else effects, study.robot, flange=not study.markers_fitted)
+    frame = _frame_parameters() if study.frame_free else ()
+    markers = _marker_parameters(study) if study.markers_fitted else ()
+    parameters = (*frame, *markers, *(parameter for effect in bound for parameter in effect.parameters))
+    given = study.nominal if nominal is None else nominal
+    _check_names(given, parameters)
+    parameters = tuple(replace(p, nominal=float(given.get(p.name, p.nominal))) for p in parameters)
+    return Model(study.robot, bound, parameters, len(frame), len(markers), study.robot.masses_known)
+
+
+def without_nuisance(model: Model) -> Model:
+    """The same effects with frame and markers taken as known."""
+    parameters = tuple(parameter for parameter in model.parameters if not parameter.nuisance)
+    return replace(model, parameters=parameters, frame_size=0, marker_size=0)
+
+
+def _check_names(given: Mapping[str, float], parameters: tuple[Parameter, ...]) -> None:
+    known = [parameter.name for parameter in parameters]
+    for name in given:
+        if name not in known:
+            raise InputError(
+                f"[model.nominal] {name!r}: the model has no such parameter; it has {', '.join(known) or 'none'}"
+            )
+
+
+def _frame_parameters() -> tuple[Parameter, ...]:
+    """Displacement of the base in its own axes: translation, then rotation."""
+    return tuple(Parameter(f"frame.{name}", unit, scale, nuisance=True) for name, unit, scale in _FRAME)
+
+
+def _marker_parameters(study: Study) -> tuple[Parameter, ...]:
+    """Correction of every marker position, in its own frame."""
+    return tuple(
+        Parameter(f"marker.{name}.{axis}", "mm", MM, nuisance=True) for name in study.markers.names for axis in "xyz"
+    )
+
+
+def respond(model: Model, experiment: Experiment, values: Floats, *, derivative: bool = True) -> Response:
+    """Where every row should be read, and how that depends on the parameters.
+
+    Args:
+        model: The model.
+        experiment: The conditions.
+        values: (p,) parameters in their units.
+        derivative: Also compute the derivative.
+    """
+    scene, deflection = _deflected(model, experiment, values)
+    turn, shift = frame_displacement(model, values)
+    position = (scene.point + deflection) @ turn.T + shift
+    columns = None
+    if derivative:
+        columns = _derivative(model, scene, position, values)
+        _add_bending(columns, model, experiment, values, deflection)
+    return Response(scene, position, deflection, columns)
+
+
+def _deflected(model: Model, experiment: Experiment, values: Floats) -> tuple[Scene, Floats]:
+    """The scene on the adjusted robot and the (R, 3) displacement that all effects add, m."""
+    robot = model.robot
+    pairs = tuple(zip(model.effects, model.effect_slices, strict=True))
+    for effect, where in pairs:
+        if effect.adjust is not None:
+            robot = effect.adjust(robot, values[where])
+    markers = marker_positions(model, experiment, values)
+    scene = build_scene(experiment, forward(robot, experiment.q), markers, self_weight=model.self_weight)
+    deflection = np.zeros_like(scene.point)
+    for effect, where in pairs:
+        deflection = deflection + effect.displacement(scene, values[where])
+    return scene, deflection
+
+
+def _add_bending(columns: Floats, model: Model, experiment: Experiment, values: Floats, deflection: Floats) -> None:
+    """How the deflection itself changes when geometry or markers move: the second-order part of their columns.
+
+    By forward differences of a small term (a step of 1 um or 1 urad in a field of some mm).
+    """
+    if not deflection.any():
+        return
+    moved = [np.arange(model.frame_size + axis, model.frame_size + model.marker_size, 3) for axis in range(3)]
+    moved = moved if model.marker_size else []
+    for effect, where in zip(model.effects, model.effect_slices, strict=True):
+        if effect.adjust is not None:
+            moved += [np.array([column]) for column in range(where.start, where.stop)]
+    for index in moved:
+        nudged = values.copy()
+        nudged[index] += _NUDGE
+        change = (_deflected(model, experiment, nudged)[1] - deflection) / _NUDGE
+        if len(index) == 1:
+            columns[:, :, index[0]] += change
+        else:  # every row has its own marker
+            rows = np.arange(len(change))
+            columns[rows, :, index[experiment.row_marker]] += change
+
+
+def marker_positions(model: Model, experiment: Experiment, values: Floats) -> Floats:
+    """(M, 3) markers in their own frames with the corrections of the marker parameters, m."""
+    if not model.marker_size:
+        return experiment.markers.positions
+    corrections = values[model.frame_size : model.frame_size + model.marker_size]
+    moved: Floats = experiment.markers.positions + MM * corrections.reshape(-1, 3)
+    return moved
+
+
+def frame_displacement(model: Model, values: Floats) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and translation (3,) of the frame parameters."""
+    if not model.frame_size:
+        return np.eye(3), np.zeros(3)
+    return rotation_of(values[3:6] * MRAD), values[:3] * MM
+
+
+def _derivative(model: Model, scene: Scene, position: Floats, values: Floats) -> Floats:
+    """(R, 3, p); the turn of the frame parameters, which are small, is left out of the other columns."""
+    columns = np.empty((len(position), 3, len(model.parameters)))
+    if model.frame_size:
+        columns[:, :, :3] = MM * np.eye(3)
+        columns[:, :, 3:6] = -MRAD * skew(position)
+    if model.marker_size:
+        _marker_columns(columns[:, :, model.frame_size : model.frame_size + model.marker_size], scene)
+    for effect, where in zip(model.effects, model.effect_slices, strict=True):
+        columns[:, :, where] = effect.derivative(scene, values[where])
+    return columns
+
+
+def _marker_columns(columns: Floats, scene: Scene) -> None:
+    """Each row moves with its own marker, turned by the flange (or not, on the base)."""
+    markers = scene.experiment.markers
+    row_marker = scene.experiment.row_marker
+    turn = MM * scene.frames.flange_rotation[scene.row_pose]
+    turn[markers.on_base[row_marker]] = MM * np.eye(3)
+    columns[:] = 0.0
+    for marker in range(len(markers.names)):
+        rows = row_marker == marker
+        columns[rows, :, 3 * marker : 3 * marker + 3] = turn[rows]

@@ -1,0 +1,54 @@
+"""Parts of an experiment: rows of some visits, and changes of readings between loads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from identify.arrays import Floats, Ints
+from identify.experiment import Experiment, Measurements
+
+__all__ = ["load_changes", "rows_of_visits", "take_rows"]
+
+
+def rows_of_visits(experiment: Experiment, visits: np.ndarray) -> Ints:
+    """Rows that belong to the marked visits, (V,) bool -> indices."""
+    return np.flatnonzero(visits[experiment.row_visit])
+
+
+def take_rows(data: Measurements, rows: Ints) -> Measurements:
+    """The measurements of some rows (ascending); visits, shots and loads keep their numbers."""
+    experiment = data.experiment
+    part = replace(
+        experiment,
+        row_shot=experiment.row_shot[rows],
+        row_marker=experiment.row_marker[rows],
+        time=None if experiment.time is None else experiment.time[rows],
+        temperature=None if experiment.temperature is None else experiment.temperature[rows],
+    )
+    quaternions = None if data.quaternions is None else data.quaternions[rows]
+    return replace(
+        data, experiment=part, positions=data.positions[rows], lines=data.lines[rows], quaternions=quaternions
+    )
+
+
+def load_changes(experiment: Experiment, rows: Floats) -> tuple[Floats, Ints]:
+    """What loading changed: (R, 3) values relative to the unloaded rows of the same visit and marker.
+
+    Where a visit has no unloaded row of the marker, its loaded rows are taken relative to their own mean.
+
+    Returns:
+        (K, 3) changes and their (K,) rows: loaded ones that have something to be compared with.
+    """
+    key = experiment.row_visit * len(experiment.markers.names) + experiment.row_marker
+    _, group = np.unique(key, return_inverse=True)
+    unloaded = experiment.shot_unloaded[experiment.row_shot]
+    count = group.max(initial=-1) + 1
+    references = np.bincount(group, unloaded, count)
+    members = np.bincount(group, minlength=count)
+    use = np.where(references[group] > 0, unloaded, True)
+    total = np.stack([np.bincount(group, rows[:, axis] * use, count) for axis in range(3)], axis=1)
+    mean = total / np.bincount(group, use, count)[:, None]
+    loaded = np.flatnonzero(~unloaded & ((references[group] > 0) | (members[group] > 1)))
+    return (rows - mean[group])[loaded], loaded

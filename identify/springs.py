@@ -1,0 +1,102 @@
+"""The elastic core: every deflection is a sum over elementary springs.
+
+``displacement(marker) = sum_s D_s(marker) c_s t_s(load)`` with
+
+* ``D_s = a_s x (p - o_s)`` for a rotational spring, ``D_s = a_s`` for a translational one: how the
+  marker moves per unit of spring deflection (the marker Jacobian);
+* ``t_s = a_s . ((p_L - o_s) x F + M)`` or ``a_s . F``: what the load puts on the spring (the load
+  Jacobian, at the point where the load acts);
+* ``c_s`` its compliance.
+
+Source: Klimchik, Caro, Furet, Pashkevich, "Complete Stiffness Model for a Serial Robot", eq. (3)-(5),
+with the marker and the load at two different points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identify.arrays import Floats, Ints
+from identify.kinematics import Frames
+
+__all__ = ["Springs", "cross", "joint_springs", "load_torque", "motion", "self_weight_torque"]
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """Elementary springs of one robot in V poses, base frame.
+
+    Attributes:
+        axis: (V, s, 3) unit directions.
+        origin: (V, s, 3) points on the axes, m.
+        slides: (s,) True for translational springs.
+        first_link: (s,) the springs carry the links ``first_link ... n - 1`` and the tool.
+    """
+
+    axis: Floats
+    origin: Floats
+    slides: np.ndarray
+    first_link: Ints
+
+
+def joint_springs(frames: Frames) -> Springs:
+    """The springs of the joints themselves, one a joint."""
+    return Springs(frames.axis, frames.origin, frames.robot.prismatic, np.arange(frames.robot.n))
+
+
+def motion(springs: Springs, points: Floats) -> Floats:
+    """``D``: motion of points (V, M, 3) per unit of each spring -> (V, M, s, 3), m per rad or m per m."""
+    axis = springs.axis[:, None]
+    arm = points[:, :, None] - springs.origin[:, None]
+    if not springs.slides.any():
+        return cross(axis, arm)
+    return np.where(springs.slides[:, None], axis, cross(axis, arm))
+
+
+def load_torque(springs: Springs, point: Floats, force: Floats, moment: Floats) -> Floats:
+    """``t``: torque (Nm) or force (N) of a wrench on each spring.
+
+    Args:
+        springs: Springs of the shots (S poses).
+        point: (S, 3) where the wrench acts, base frame, m.
+        force: (S, 3) base frame, N.
+        moment: (S, 3) base frame, Nm, about ``point``.
+
+    Returns:
+        (S, s).
+    """
+    arm = point[:, None] - springs.origin
+    total = cross(arm, force[:, None]) + moment[:, None]
+    turning = np.einsum("vsi,vsi->vs", springs.axis, total)
+    if not springs.slides.any():
+        return turning
+    return np.where(springs.slides, np.einsum("vsi,vi->vs", springs.axis, force), turning)
+
+
+def self_weight_torque(springs: Springs, frames: Frames) -> Floats:
+    """Torque or force of the link weights and the tool on each spring, (V, s).
+
+    Zero contribution where a mass is unknown; whether that is acceptable is the caller's decision
+    (`identify` then analyses differences only).
+    """
+    robot = frames.robot
+    masses = np.append(np.where(np.isfinite(robot.masses), robot.masses, 0.0), robot.tool_mass)
+    if not masses.any():
+        return np.zeros(springs.axis.shape[:2])
+    centres = np.concatenate([frames.centre, frames.point(robot.tool_centre)[:, None]], axis=1)
+    carried = np.cumsum(masses[::-1])[::-1]
+    moments = np.cumsum((masses[:, None] * centres)[:, ::-1], axis=1)[:, ::-1]
+    weight = carried[springs.first_link]
+    arm = moments[:, springs.first_link] - weight[:, None] * springs.origin
+    g = robot.gravity_base
+    turning = np.einsum("vsi,vsi->vs", springs.axis, cross(arm, g))
+    return np.where(springs.slides, weight * (springs.axis @ g), turning)
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """Cross product over the last axis, several times faster than numpy's general one."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)

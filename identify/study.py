@@ -1,0 +1,187 @@
+"""A study: one robot, its loads, markers, noise, model and what the plan is asked for. SI inside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+
+from identify.arrays import Floats, frozen
+from identify.loads import LoadCase, Markers
+from identify.robot import Robot
+from identify.units import DEG, MM
+
+__all__ = ["Constraints", "Noise", "PlanSettings", "Study", "TestPose", "Tracker"]
+
+Criterion = Literal["test_pose", "A", "D", "E", "G"]
+Reference = Literal["absolute", "differences", "auto"]
+
+
+@dataclass(frozen=True, eq=False)
+class Tracker:
+    """Range-dependent noise of a laser tracker, 1 sigma: ``a + b * range``.
+
+    Attributes:
+        radial: Along the beam, m.
+        radial_per_m: Along the beam, m per m of range.
+        transverse: Across the beam, m.
+        transverse_per_m: Across the beam, m per m of range.
+        station: (3,) the instrument in the base frame, m; None if it follows from a free frame.
+    """
+
+    radial: float
+    radial_per_m: float
+    transverse: float
+    transverse_per_m: float
+    station: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Noise of the readings, all 1 sigma.
+
+    Attributes:
+        reading: One coordinate of one reading, m (unused with a tracker).
+        tracker: Range-dependent noise instead of ``reading``.
+        pose_jitter: Per joint, new for each visit, rad (m for a sliding joint).
+        reading_jitter: Per joint, new for each shot, rad (m for a sliding joint).
+        orientation: Of a 6-D target, rad per axis.
+    """
+
+    reading: float = 0.0
+    tracker: Tracker | None = None
+    pose_jitter: float = 0.0
+    reading_jitter: float = 0.0
+    orientation: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class TestPose:
+    """A pose where accuracy after compensation counts.
+
+    Attributes:
+        q: (n,) joint values, rad or m.
+        wrench: (6,) process wrench at ``attach``, N and Nm.
+        in_flange: True if the wrench is given in the flange frame, else world.
+        attach: (3,) flange frame, m.
+        point: (3,) the point whose error counts, flange frame, m.
+        weight: Weight in the mean square.
+    """
+
+    q: Floats
+    wrench: Floats
+    in_flange: bool
+    attach: Floats
+    point: Floats
+    weight: float = 1.0
+
+    __test__ = False  # not a test class, whatever pytest thinks of the name
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for key in ("q", "wrench", "attach", "point"):
+            object.__setattr__(self, key, frozen(getattr(self, key)))
+
+
+@dataclass(frozen=True, eq=False)
+class PlanSettings:
+    """What the plan is asked for (section ``[plan]``).
+
+    Attributes:
+        poses: Number of experiments; None where a tolerance is stated instead.
+        tolerance: Radius at the test poses, m; None where ``poses`` is stated.
+        confidence: Confidence of the tolerance.
+        loads: Names of the loads to choose from.
+        criterion: test_pose, A, D, E or G.
+        candidates: Number of candidate experiments.
+        refine: Refine the joint angles continuously.
+        loads_per_pose: Loaded shots of one visit.
+        reference_rows: Each visit also reads the unloaded state.
+        repeats: One candidate may be measured several times.
+        max_std_percent: No parameter's std may exceed this percentage of its std under the best A plan.
+    """
+
+    poses: int | None = 15
+    tolerance: float | None = None
+    confidence: float = 0.95
+    loads: tuple[str, ...] = ()
+    criterion: Criterion = "test_pose"
+    candidates: int = 10_000
+    refine: bool = True
+    loads_per_pose: int = 1
+    reference_rows: bool = True
+    repeats: bool = True
+    max_std_percent: float = 300.0
+
+
+@dataclass(frozen=True, eq=False)
+class Constraints:
+    """What a pose must keep to (section ``[constraints]``).
+
+    Attributes:
+        joint_margin: Distance to the limits of turning joints, rad.
+        joint_margin_slide: Distance to the limits of sliding joints, m.
+        floor: Lowest world height (from the base origin) of joints, flange, markers and loads, m; None: no floor.
+        payload_share: Share of the rated payload that may hang on the flange.
+        self_collision: Check the links' capsules against each other.
+        link_radius: Radius of these capsules, m; None: the robot file's, else 3 % of the reach.
+    """
+
+    joint_margin: float = 0.0
+    joint_margin_slide: float = 0.0
+    floor: float | None = None
+    payload_share: float = 1.0
+    self_collision: bool = True
+    link_radius: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A validated study.
+
+    Attributes:
+        path: The study file.
+        robot: Robot with mounting, gravity and tool.
+        loads: Load cases; the first unloaded one is the reference of differences.
+        markers: Markers on the flange, then fixed ones.
+        noise: Noise.
+        frame_free: Readings are in an unknown frame that is fitted; else in the base frame.
+        markers_fitted: Marker positions are fitted; else taken as they stand.
+        effects: What the simulation contains: ``name`` or ``name@where``.
+        reference: absolute, differences or auto.
+        nominal: Starting values by parameter name, in the units of the results.
+        options: Options of effects, by effect name.
+        test_poses: Where accuracy counts.
+        plan: What the plan is asked for.
+        constraints: What poses must keep to.
+        inputs: Every file the study was read from.
+    """
+
+    path: Path
+    robot: Robot
+    loads: tuple[LoadCase, ...]
+    markers: Markers
+    noise: Noise
+    frame_free: bool = True
+    markers_fitted: bool = True
+    effects: tuple[str, ...] = ("joint_compliance",)
+    reference: Reference = "auto"
+    nominal: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: MappingProxyType({}))
+    test_poses: tuple[TestPose, ...] = ()
+    plan: PlanSettings = field(default_factory=PlanSettings)
+    constraints: Constraints = field(default_factory=Constraints)
+    inputs: tuple[Path, ...] = ()
+
+    @property
+    def joint_units(self) -> np.ndarray:
+        """(n,) SI value of one file unit of each joint: deg, or mm where it slides."""
+        return np.where(self.robot.prismatic, MM, DEG)
+
+    def load_index(self, name: str) -> int:
+        """Index of a load by its id (the caller has checked that it exists)."""
+        return [load.name for load in self.loads].index(name)

@@ -1,0 +1,24 @@
+"""The only unit conversions: files speak mm, deg and um; the code speaks m and rad.
+
+Multiply a number from a file by its unit to get SI; divide to get back.
+"""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["DEG", "MM", "MRAD", "SI_OF", "UM", "URAD"]
+
+MM = 1e-3
+UM = 1e-6
+DEG = math.pi / 180.0
+MRAD = 1e-3
+URAD = 1e-6
+
+#: SI value of one unit, by the unit's name as it stands in result files.
+SI_OF = {
+    "mm": MM,
+    "mrad": MRAD,
+    "urad/Nm": URAD,
+    "um/N": UM,
+}
