@@ -79,6 +79,7 @@ class Effect:
         parameters: Its p unknowns.
         displacement: ``(scene, values) -> (R, 3)`` m, base frame; values in the parameters' units.
         derivative: ``(scene, values) -> (R, 3, p)`` m per unit.
+        yields: True if it answers to loads (only then do differences between loads show it).
         adjust: ``(robot, values) -> robot`` for effects that change the robot itself.
         why_zero: Index of a parameter -> why no row may depend on it.
     """
@@ -88,6 +89,7 @@ class Effect:
     displacement: Displacement
     derivative: Displacement
     why_zero: Callable[[int], str]
+    yields: bool = True
     adjust: Callable[[Robot, Floats], Robot] | None = None
 
 

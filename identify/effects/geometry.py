@@ -93,9 +93,9 @@ def geometry(robot: Robot, where: tuple[str, ...], *, flange: bool = False) -> E
         return np.zeros_like(scene.point)  # the scene is already built on the adjusted robot
 
     def why_zero(parameter: int) -> str:
-        return "no reading in these data depends on it"
+        return "no reading in these data depends on it (changes between loads hide geometry)"
 
-    return Effect("geometry", parameters, displacement, derivative, why_zero, adjust)
+    return Effect("geometry", parameters, displacement, derivative, why_zero, yields=False, adjust=adjust)
 
 
 def _slot(robot: Robot, joint: int) -> _Slot:

@@ -1,0 +1,153 @@
+"""From poses and loads to whitened observation blocks, and from test poses to target rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from identify.arrays import Floats, Ints
+from identify.effects import build_scene
+from identify.errors import InputError, NotIdentifiable
+from identify.experiment import full_experiment
+from identify.identifiability import Identifiability, independent_columns, triangle, why_not
+from identify.kinematics import forward
+from identify.loads import LoadCase, Markers
+from identify.model import Model, model_of, respond, without_nuisance
+from identify.noise import whitening
+from identify.study import Study
+
+__all__ = ["Observer", "identifiable", "observer", "target_rows"]
+
+_CHUNK = 4096  # poses at a time: the fields of one chunk stay in cache
+
+
+@dataclass(frozen=True, eq=False)
+class Observer:
+    """Everything that turns poses into blocks.
+
+    Attributes:
+        study: The study.
+        model: Its model; without frame and markers under ``differences``, where free offsets take their place.
+        reference: What the readings will be compared with.
+    """
+
+    study: Study
+    model: Model
+    reference: Literal["absolute", "differences"]
+
+    def blocks(self, q: Floats, visit_loads: Ints) -> Floats:
+        """Whitened observation blocks of visits.
+
+        Args:
+            q: (N, n) joint values, rad or m.
+            visit_loads: (N, L) load of each shot of a visit.
+
+        Returns:
+            (N, k, p) rows per unit of each parameter of the observer's model.
+        """
+        parts = []
+        for start in range(0, len(q), _CHUNK):
+            parts.append(self._chunk(q[start : start + _CHUNK], visit_loads[start : start + _CHUNK]))
+        return parts[0] if len(parts) == 1 else _joined(parts)
+
+    def _chunk(self, q: Floats, visit_loads: Ints) -> Floats:
+        study, model = self.study, self.model
+        experiment = full_experiment(q, visit_loads, study.loads, study.markers)
+        response = respond(model, experiment, model.nominal)
+        free_offsets = self.reference == "differences"
+        operators = whitening(response.scene, study.noise, _station(study), free_offsets=free_offsets)
+        assert response.derivative is not None
+        (block,) = operators.blocks(response.derivative)
+        return block
+
+
+def observer(study: Study) -> Observer:
+    """The observer of a study.
+
+    ``reference = "auto"`` becomes ``differences`` where the mass of a moved link is unknown, else
+    ``absolute``: the rule that `identify` follows when the model is right.
+    """
+    model = model_of(study)
+    reference = study.reference
+    if reference == "auto":
+        reference = "absolute" if study.robot.masses_known or not study.plan.reference_rows else "differences"
+    return Observer(study, model if reference == "absolute" else without_nuisance(model), reference)
+
+
+def _joined(parts: list[Floats]) -> Floats:
+    """Concatenate chunks, freeing each as it is copied."""
+    total = np.empty((sum(len(part) for part in parts), *parts[0].shape[1:]))
+    start = 0
+    parts.reverse()
+    while parts:
+        part = parts.pop()
+        total[start : start + len(part)] = part
+        start += len(part)
+    return total
+
+
+def _station(study: Study) -> Floats:
+    """Where the tracker stands, base frame, m."""
+    tracker = study.noise.tracker
+    if tracker is None:
+        return np.zeros(3)
+    if tracker.station is None:
+        raise InputError(
+            f"{study.path}: [noise.tracker] station_mm is missing; range-dependent noise can only be planned with the "
+            "position of the instrument in the base frame"
+        )
+    return tracker.station
+
+
+def target_rows(observer: Observer, known: Identifiability) -> Floats:
+    """Rows of the test poses on the kept parameters: error of the point per unit, weighted.
+
+    Args:
+        observer: The observer.
+        known: Kept parameters of the candidates.
+
+    Returns:
+        (t, 3, rank) m per unit; times sqrt(weight / sum of weights) is the caller's.
+
+    Raises:
+        InputError: The study has no test poses.
+        NotIdentifiable: A test pose depends on a direction that the candidates cannot show.
+    """
+    study, model = observer.study, observer.model
+    if not study.test_poses:
+        raise InputError(f"{study.path}: [[test_poses]] is missing; the accuracy that counts is not defined")
+    rows = np.stack([_test_rows(observer, index) for index in range(len(study.test_poses))])
+    rows[:, :, model.nuisance] = 0.0
+    scale = np.abs(rows).max(initial=0.0)
+    for dropped in known.dropped:
+        through = rows[:, :, list(dropped.alike)] @ dropped.coefficients
+        by_nuisance = any(model.nuisance[other] for other in dropped.alike)
+        if not by_nuisance and np.abs(rows[:, :, dropped.column] - through).max(initial=0.0) > 1e-6 * scale:
+            name = model.names[dropped.column]
+            raise NotIdentifiable(
+                f"{study.path}: the test poses depend on {name}, which no candidate shows: {why_not(model, dropped)}. "
+                "Add loads in other directions, or test poses that do not need it",
+                (name,),
+            )
+    return rows[:, :, known.kept]
+
+
+def _test_rows(observer: Observer, index: int) -> Floats:
+    """(3, p) derivative of the deflected point of one test pose."""
+    pose = observer.study.test_poses[index]
+    load = LoadCase("test", attach=pose.attach, force=pose.wrench[:3], moment=pose.wrench[3:], in_flange=pose.in_flange)
+    point = Markers(("point",), pose.point[None], np.array([False]))
+    experiment = full_experiment(pose.q[None], np.zeros((1, 1), dtype=np.int64), (load,), point)
+    model = observer.model
+    columns = np.zeros((3, len(model.parameters)))
+    scene = build_scene(experiment, forward(model.robot, experiment.q), point.positions, self_weight=model.self_weight)
+    for effect, where in zip(model.effects, model.effect_slices, strict=True):
+        columns[:, where] = effect.derivative(scene, model.nominal[where])[0]
+    return columns
+
+
+def identifiable(blocks: Floats) -> Identifiability:
+    """Kept parameters of a set of blocks (N, k, p)."""
+    return independent_columns(triangle([blocks.reshape(-1, blocks.shape[2])]))

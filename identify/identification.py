@@ -1,0 +1,333 @@
+"""The public verb `identify`: from readings to parameters with honest intervals."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from identify.arrays import Floats, Ints, frozen
+from identify.errors import NotIdentifiable
+from identify.experiment import Measurements
+from identify.fit import Fit, State, fit, rows_that_do_not_fit, start
+from identify.model import Model, model_of, respond
+from identify.selection import load_changes, rows_of_visits, take_rows
+from identify.study import Study
+from identify.uncertainty import load_share, stated_covariance, visit_covariance
+
+__all__ = ["Heldout", "Identification", "Misfit", "heldout_misfit", "identify"]
+
+_REJECTED = 1e-3  # the fit is rejected if chi2 is this improbable
+_HELDOUT_SHARE = 0.4
+_HELDOUT_LEAST = 10  # poses
+_ALTERNATIONS = 4
+
+log = logging.getLogger("elastocal")
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """Errors of a marker after the fit: of its position, or of its change under load (``differences``).
+
+    Attributes:
+        error: (K, 3) base frame, m.
+        rows: (K,) rows they belong to.
+    """
+
+    error: Floats
+    rows: np.ndarray
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the 3-D error, m."""
+        return float(np.sqrt((self.error**2).sum(axis=1).mean())) if len(self.error) else float("nan")
+
+    @property
+    def maximum(self) -> float:
+        """Largest 3-D error, m."""
+        return float(np.linalg.norm(self.error, axis=1).max()) if len(self.error) else float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Heldout:
+    """Misfit on visits that took no part in the fit (rows that do not fit at all left out)."""
+
+    misfit: Misfit
+    visits: int
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """The result of `identify`.
+
+    Attributes:
+        study: The study.
+        data: The readings.
+        fit: The fit of the parameters.
+        values: (p,) all parameters in their units; frame values are those of ``base_T_measurement``.
+        covariance: (p, p) of the values; zero rows for what was held at its nominal value.
+        covariance_kind: ``stated noise`` or ``pose-clustered``.
+        quantile: 97.5 % quantile that the intervals use.
+        reference: absolute or differences.
+        p_value: Probability of a chi2 this large if model and stated noise are right.
+        worst: Rows that do not fit, worst first.
+        heldout: Misfit on held-out visits, None below 10 visits.
+        notes: What the user should know.
+    """
+
+    study: Study
+    data: Measurements
+    fit: Fit
+    values: Floats
+    covariance: Floats
+    covariance_kind: Literal["stated noise", "pose-clustered"]
+    quantile: float
+    reference: Literal["absolute", "differences"]
+    p_value: float
+    worst: np.ndarray
+    heldout: Heldout | None
+    notes: tuple[str, ...]
+
+    @property
+    def model(self) -> Model:
+        """The model that was fitted."""
+        return self.fit.model
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Values of the identified parameters that are asked for, by name, in their units."""
+        kept = set(self.fit.identifiability.kept.tolist())
+        return {
+            parameter.name: float(self.values[index])
+            for index, parameter in enumerate(self.model.parameters)
+            if index in kept and not parameter.nuisance
+        }
+
+    @property
+    def residuals(self) -> Floats:
+        """(R, 3) reading minus model in the base frame, m."""
+        return self.fit.residual
+
+    @property
+    def misfit(self) -> Misfit:
+        """Errors after the fit, all rows."""
+        return _misfit(self.data, self.fit.residual, self.reference, np.arange(len(self.fit.residual)))
+
+    @property
+    def compensated_percent(self) -> float | None:
+        """Share of the measured deflection that the model takes away, per cent; None without loads."""
+        measured = self.fit.response.position + self.fit.residual
+        before, _ = load_changes(self.data.experiment, measured)
+        after, _ = load_changes(self.data.experiment, self.fit.residual)
+        if not len(before):
+            return None
+        return float(100.0 * (1.0 - np.sqrt((after**2).sum() / (before**2).sum())))
+
+
+def identify(study: Study, data: Measurements, *, seed: int = 0) -> Identification:
+    """Fit the parameters of a study to readings.
+
+    Loaded and unloaded readings enter one likelihood (reference ``absolute``), or every visit gets a
+    free offset of each marker so that only changes between loads inform (``differences``).
+
+    Args:
+        study: The study.
+        data: The readings.
+        seed: Seed of the held-out split.
+
+    Raises:
+        NotIdentifiable: No parameter can be identified, or there are fewer rows than unknowns.
+        NoConvergence: The fit did not converge.
+    """
+    model = model_of(study)
+    found, reference, notes = _choose_reference(study, model, data)
+    _check_enough(found)
+    worst = rows_that_do_not_fit(found)
+    covariance, kind, quantile, p_value = _uncertainty(found, study)
+    notes = (*notes, *_notes(found, kind, worst))
+    heldout = _heldout(study, found, reference, worst, seed)
+    values = found.state.values.copy()
+    if model.frame_size:
+        values[:6] = _frame_values(found.state.base_T_measurement)
+    return Identification(
+        study,
+        data,
+        found,
+        frozen(values),
+        frozen(covariance),
+        kind,
+        quantile,
+        reference,
+        p_value,
+        worst,
+        heldout,
+        notes,
+    )
+
+
+def _choose_reference(
+    study: Study, model: Model, data: Measurements
+) -> tuple[Fit, Literal["absolute", "differences"], tuple[str, ...]]:
+    """Absolute or differences, as stated or by the rule of ``auto``."""
+    loaded = not data.experiment.shot_unloaded.all()
+    elastic = any(effect.yields for effect in model.effects)
+    notes: tuple[str, ...] = ()
+    wanted = study.reference
+    if wanted == "auto" and loaded and elastic and not study.robot.masses_known:
+        wanted = "differences"
+        notes = ("link masses are unknown: only changes between loads are used (reference differences)",)
+    if wanted == "differences":
+        return _fit_differences(study, model, data), "differences", notes
+    if elastic and not study.robot.masses_known:
+        notes = ("link masses are unknown: self-weight is left out",)
+    absolute = fit(model, data, study.noise, start(model, data))
+    trusts_geometry = any(effect.name in {"geometry", "transmission_error"} for effect in model.effects)
+    if wanted == "absolute" or trusts_geometry or not (loaded and elastic) or _p_value(absolute) >= _REJECTED:
+        return absolute, "absolute", notes
+    note = "absolute readings contradict the model (geometry is not in it): only changes between loads are used"
+    return _fit_differences(study, model, data, absolute.state), "differences", (note,)
+
+
+def _fit_differences(study: Study, model: Model, data: Measurements, state: State | None = None) -> Fit:
+    """Effects from changes within visits, frame and markers from the visits' offsets, in turn until both stand."""
+    state = state or start(model, data)
+    nuisance = model.nuisance
+    found = fit(model, data, study.noise, _plain(state, model), free_offsets=True, fitted=~nuisance)
+    if not nuisance.any():
+        return found
+    for _ in range(_ALTERNATIONS):
+        placed = fit(model, data, study.noise, found.state, fitted=nuisance)
+        before = found.state
+        found = fit(model, data, study.noise, _with_weights(placed.state, before), free_offsets=True, fitted=~nuisance)
+        moved = np.abs(found.state.values - before.values)[~nuisance]
+        if (moved <= 1e-9 * np.abs(found.state.values[~nuisance])).all():
+            break
+    return found
+
+
+def _plain(state: State, model: Model) -> State:
+    """A start with all weights one and effects at their nominal values."""
+    values = np.where(model.nuisance, state.values, model.nominal)
+    return State(values, state.base_T_measurement, np.ones_like(state.weights))
+
+
+def _with_weights(state: State, weights_of: State) -> State:
+    """Values of one state with the weights of another."""
+    return State(state.values, state.base_T_measurement, weights_of.weights)
+
+
+def _check_enough(found: Fit) -> None:
+    """Refuse what cannot be concluded.
+
+    Raises:
+        NotIdentifiable: Fewer whitened rows than unknowns, or nothing identifiable.
+    """
+    rank, rows = found.identifiability.rank, len(found.columns)
+    names = tuple(found.model.names[d.column] for d in found.identifiability.dropped)
+    if rank == 0:
+        raise NotIdentifiable(f"{found.data.source}: no parameter can be identified from {rows} equations", names)
+    if rows <= rank:
+        raise NotIdentifiable(
+            f"{found.data.source}: {rows} independent equations for {rank} unknowns; measure more poses", names
+        )
+
+
+def _p_value(found: Fit) -> float:
+    from scipy.stats import chi2
+
+    return float(chi2.sf(found.chi2, max(found.dof, 1)))
+
+
+def _uncertainty(found: Fit, study: Study) -> tuple[Floats, Literal["stated noise", "pose-clustered"], float, float]:
+    """Covariance of all parameters, its kind, the quantile of the intervals and the fit's p value."""
+    from scipy.stats import norm, t
+
+    p_value = _p_value(found)
+    kind: Literal["stated noise", "pose-clustered"] = "stated noise"
+    quantile = float(norm.ppf(0.975))
+    if p_value >= _REJECTED:
+        covariance = stated_covariance(found)
+    else:
+        kind = "pose-clustered"
+        covariance, clusters = visit_covariance(found)
+        quantile = float(t.ppf(0.975, max(clusters - 1, 1)))
+    covariance = covariance + load_share(found)
+    if not found.fitted.all():
+        covariance = covariance + _nuisance_covariance(found, study)
+    return covariance, kind, quantile, p_value
+
+
+def _nuisance_covariance(found: Fit, study: Study) -> Floats:
+    """Frame and markers under ``differences``: from the visits' offsets, clustered by visit."""
+    placed = fit(found.model, found.data, study.noise, found.state, fitted=found.model.nuisance)
+    return visit_covariance(placed)[0]
+
+
+def _notes(found: Fit, kind: str, worst: np.ndarray) -> tuple[str, ...]:
+    notes = []
+    if kind == "pose-clustered":
+        notes.append(
+            f"chi2 {found.chi2:.4g} with {found.dof} degrees of freedom rejects model or stated noise; "
+            "intervals come from the scatter between poses"
+        )
+    if len(worst):
+        notes.append(f"{len(worst)} rows do not fit and have little influence; see worst")
+    return tuple(notes)
+
+
+def _misfit(data: Measurements, residual: Floats, reference: str, rows: Ints) -> Misfit:
+    """Errors of some rows (ascending): positions, or changes under load."""
+    if reference == "absolute":
+        return Misfit(residual[rows], rows)
+    error, index = load_changes(take_rows(data, rows).experiment, residual[rows])
+    return Misfit(error, rows[index])
+
+
+def _heldout(study: Study, found: Fit, reference: str, worst: np.ndarray, seed: int) -> Heldout | None:
+    """Fit a random 60 % of the visits and judge the others."""
+    experiment = found.data.experiment
+    present = np.unique(experiment.row_visit)
+    if len(present) < _HELDOUT_LEAST:
+        return None
+    shuffled = np.random.default_rng(seed).permutation(present)
+    judged = np.zeros(len(experiment.visits), dtype=bool)
+    judged[shuffled[: round(_HELDOUT_SHARE * len(present))]] = True
+    fine = np.ones(len(experiment.row_visit), dtype=bool)
+    fine[worst] = False
+    misfit = heldout_misfit(study, found, reference, judged, fine)
+    return Heldout(misfit, int(judged.sum())) if len(misfit.error) else None
+
+
+def heldout_misfit(study: Study, found: Fit, reference: str, judged: np.ndarray, fine: np.ndarray) -> Misfit:
+    """Misfit on the judged visits of a fit to the others.
+
+    Args:
+        study: The study.
+        found: The fit to all visits, where the new fit starts.
+        reference: Its reference.
+        judged: (V,) True for visits to judge.
+        fine: (R,) True for rows that count.
+    """
+    model = found.model
+    rows = rows_of_visits(found.data.experiment, ~judged)
+    part = take_rows(found.data, rows)
+    begin = State(found.state.values, found.state.base_T_measurement, found.state.weights[rows])
+    if reference == "absolute":
+        trained = fit(model, part, study.noise, begin)
+    else:
+        trained = _fit_differences(study, model, part, begin)
+    response = respond(model, found.data.experiment, trained.state.values, derivative=False)
+    placement = trained.state.base_T_measurement
+    residual = found.data.positions @ placement[:3, :3].T + placement[:3, 3] - response.position
+    rows = np.flatnonzero(judged[found.data.experiment.row_visit] & fine)
+    return _misfit(found.data, residual, reference, rows)
+
+
+def _frame_values(placement: Floats) -> Floats:
+    """Translation (mm) and rotation vector (mrad) of a placement."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_matrix(placement[:3, :3]).as_rotvec()
+    return np.concatenate([placement[:3, 3], turn]) * 1e3
