@@ -42,7 +42,8 @@ class Frames:
         """Points of the flange frame in the base frame: ``local`` (3,) or (V, 3) -> (V, 3), m."""
         if local.ndim == 1:
             return self.flange_origin + self.flange_rotation @ local
-        return self.flange_origin + np.einsum("vij,vj->vi", self.flange_rotation, local)
+        turned: Floats = np.einsum("vij,vj->vi", self.flange_rotation, local)
+        return self.flange_origin + turned
 
 
 def _turn(rotation: Floats, angle: Floats) -> Floats:

@@ -69,10 +69,11 @@ def load_torque(springs: Springs, point: Floats, force: Floats, moment: Floats) 
     """
     arm = point[:, None] - springs.origin
     total = cross(arm, force[:, None]) + moment[:, None]
-    turning = np.einsum("vsi,vsi->vs", springs.axis, total)
+    turning: Floats = np.einsum("vsi,vsi->vs", springs.axis, total)
     if not springs.slides.any():
         return turning
-    return np.where(springs.slides, np.einsum("vsi,vi->vs", springs.axis, force), turning)
+    sliding: Floats = np.einsum("vsi,vi->vs", springs.axis, force)
+    return np.where(springs.slides, sliding, turning)
 
 
 def self_weight_torque(springs: Springs, frames: Frames) -> Floats:
