@@ -1,1 +1,38 @@
-"""The shared physics and the estimator."""
+"""elastocal, the physics and the estimator: robots, effects, readings, and what they tell."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from identify.config import load_study
+    from identify.errors import ElastocalError, Infeasible, InputError, NoConvergence, NotIdentifiable
+    from identify.identification import Identification, identify
+    from identify.tables import load_measurements
+
+__all__ = [
+    "ElastocalError",
+    "Identification",
+    "Infeasible",
+    "InputError",
+    "NoConvergence",
+    "NotIdentifiable",
+    "identify",
+    "load_measurements",
+    "load_study",
+]
+
+_HOME = {
+    "Identification": "identify.identification",
+    "identify": "identify.identification",
+    "load_measurements": "identify.tables",
+    "load_study": "identify.config",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used, so that importing the package costs nothing."""
+    if name in __all__:
+        return getattr(import_module(_HOME.get(name, "identify.errors")), name)
+    raise AttributeError(f"module 'identify' has no attribute {name!r}")

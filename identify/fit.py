@@ -177,14 +177,13 @@ def _evaluate(problem: _Problem, state: State) -> Fit:
     residual = data.positions @ placement[:3, :3].T + placement[:3, 3] - response.position
     station = _station(noise, placement)
     operators = whitening(response.scene, noise, station, free_offsets=problem.free_offsets, weights=state.weights)
-    assert response.derivative is not None
     columns = operators.apply(response.derivative)
     columns[:, ~free] = 0.0
     whitened = operators.apply(residual)
     spread = max(1.0, (whitened @ whitened / len(whitened)) ** 0.5)
-    limits = np.array([parameter.limit for parameter in model.parameters]) / spread
+    limits = np.array([parameter.limit for parameter in model.parameters])
     chosen = np.flatnonzero(free)
-    found = independent_columns(triangle([columns[:, chosen]]), limits[chosen])
+    found = independent_columns(triangle([columns[:, chosen]]), limits[chosen], spread)
     known = Identifiability(
         chosen[found.kept],
         tuple(

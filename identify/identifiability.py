@@ -59,27 +59,26 @@ class Identifiability:
 
 def triangle(parts: Iterable[Floats]) -> Floats:
     """R factor (p, p) of stacked rows, given in parts (K_i, p), without ever stacking them."""
-    upper: Floats | None = None
+    upper = np.zeros((0, 0))
     for part in parts:
         for start in range(0, max(len(part), 1), _CHUNK):
             rows = part[start : start + _CHUNK]
-            stacked = rows if upper is None else np.vstack([upper, rows])
-            upper = np.linalg.qr(stacked, mode="r")
-    if upper is None:
-        return np.zeros((0, 0))
+            stacked = np.vstack([upper, rows]) if upper.size else rows
+            upper = np.asarray(np.linalg.qr(stacked, mode="r"))
     return upper
 
 
-def independent_columns(upper: Floats, limits: Floats | None = None) -> Identifiability:
+def independent_columns(upper: Floats, limits: Floats | None = None, spread: float = 1.0) -> Identifiability:
     """Keep columns from left to right as long as they add a direction.
 
     Args:
         upper: (m, p) whitened rows or their R factor.
         limits: (p,) keep a column only if its standard deviation, with all later ones fixed, is within this limit.
+        spread: How much larger the scatter is than the unit that the rows are whitened to.
     """
     norms = np.linalg.norm(upper, axis=0)
     norms = np.where(norms > _ROUNDING * norms.max(initial=0.0), norms, 0.0)
-    smallest = TOLERANCE * norms if limits is None else np.maximum(TOLERANCE * norms, 1.0 / limits)
+    smallest = TOLERANCE * norms if limits is None else np.maximum(TOLERANCE * norms, spread / limits)
     basis = np.zeros((upper.shape[0], 0))
     kept: list[int] = []
     dropped: list[tuple[int, float]] = []
@@ -92,7 +91,7 @@ def independent_columns(upper: Floats, limits: Floats | None = None) -> Identifi
             basis = np.column_stack([basis, fresh / size])
             kept.append(column)
         else:
-            dropped.append((column, 1.0 / size if size > TOLERANCE * norms[column] > 0 else np.inf))
+            dropped.append((column, float(spread / size) if size > TOLERANCE * norms[column] > 0 else float("inf")))
     return Identifiability(np.array(kept, dtype=np.int64), tuple(_explain(upper, norms, kept, *d) for d in dropped))
 
 

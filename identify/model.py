@@ -73,13 +73,13 @@ class Response:
         scene: The fields it was computed from.
         position: (R, 3) readings in the base frame (displaced by the frame parameters), m.
         deflection: (R, 3) the elastic and other displacement contained in it, m.
-        derivative: (R, 3, p) m per unit of each parameter, or None if not asked for.
+        derivative: (R, 3, p) m per unit of each parameter; (R, 3, 0) if not asked for.
     """
 
     scene: Scene
     position: Floats
     deflection: Floats
-    derivative: Floats | None
+    derivative: Floats
 
 
 def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapping[str, float] | None = None) -> Model:
@@ -142,7 +142,7 @@ def respond(model: Model, experiment: Experiment, values: Floats, *, derivative:
     scene, deflection = _deflected(model, experiment, values)
     turn, shift = frame_displacement(model, values)
     position = (scene.point + deflection) @ turn.T + shift
-    columns = None
+    columns = np.zeros((*position.shape, 0))
     if derivative:
         columns = _derivative(model, scene, position, values)
         _add_bending(columns, model, experiment, values, deflection)

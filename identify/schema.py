@@ -1,12 +1,14 @@
 """What study and truth files may hold: one schema a table, unknown keys forbidden, units in the keys.
 
 Only shapes and single values are checked here; what several values say together is checked in
-`identify.config`.
+`identify.study_checks`.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -22,6 +24,7 @@ __all__ = [
     "PointSection",
     "RobotSection",
     "Section",
+    "StudyFile",
     "TestPoseSection",
     "ToolSection",
     "TrackerSection",
@@ -186,3 +189,21 @@ STUDY_SECTIONS: dict[str, tuple[type[Section], bool]] = {
     "plan": (PlanSection, False),
     "constraints": (ConstraintsSection, False),
 }
+
+
+@dataclass(frozen=True)
+class StudyFile:
+    """The checked tables of a study file; None where a table is missing or wrong."""
+
+    robot: RobotSection | None
+    tool: ToolSection | None
+    markers: PointSection | None
+    fixed_markers: PointSection | None
+    loads: list[LoadSection] | None
+    noise: NoiseSection | None
+    frames: FramesSection | None
+    model: ModelSection | None
+    test_poses: list[TestPoseSection] | None
+    plan: PlanSection | None
+    constraints: ConstraintsSection | None
+    options: Mapping[str, Mapping[str, Any]]

@@ -230,6 +230,7 @@ BAD = {
         '[tool]\nmass_kg = 6.0\n[[loads]]\nid = "L1"\nmass_kg = 5.0',
         ["load above payload with 6 kg of tool: at most 10 kg"],
     ),
+    "tool above payload": ("[tool]\nmass_kg = 12.0", ["[tool] mass_kg = 12.0: load above payload: at most 10 kg"]),
     "above the share": (
         '[constraints]\npayload_share = 0.5\n[[loads]]\nid = "L1"\nmass_kg = 6.0',
         ["load above payload: at most 5 kg (0.5 of the rated payload 10 kg)"],
@@ -340,9 +341,16 @@ def test_hostile_files_are_refused(content, part, tmp_path):
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path):
-    for path in (tmp_path / "none.toml", tmp_path):
-        with pytest.raises(InputError, match="cannot be read"):
-            load_study(path)
+    with pytest.raises(InputError, match="cannot be read: No such file"):
+        load_study(tmp_path / "none.toml")
+    with pytest.raises(InputError, match="is no file"):
+        load_study(tmp_path)
+
+
+def test_a_message_does_not_grow_without_end(tmp_path):
+    found = message(tmp_path, "[[loads]]\n" * 70)
+    assert ": 70 problems" in found
+    assert found.endswith("... and 20 more")
 
 
 def test_byte_order_mark_and_crlf_are_fine(tmp_path):

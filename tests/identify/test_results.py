@@ -36,7 +36,8 @@ def leftovers(folder):
 
 def test_json_begins_with_the_schema_and_keeps_the_order():
     text = json_text({"b": 1, "a": [1, 2.5, True, None], "c": {"x": np.float64(0.1)}, "d": []})
-    assert text == '{\n  "schema": 1,\n  "b": 1,\n  "a": [1, 2.5, true, null],\n  "c": {\n    "x": 0.1\n  },\n  "d": []\n}\n'
+    lines = ["{", '  "schema": 1,', '  "b": 1,', '  "a": [1, 2.5, true, null],', '  "c": {', '    "x": 0.1', "  },"]
+    assert text.splitlines() == [*lines, '  "d": []', "}"]
 
 
 def test_json_takes_arrays_tuples_paths_and_turns_nan_into_null():

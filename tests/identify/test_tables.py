@@ -1,5 +1,6 @@
 """Plans and measurements: what is read, what is refused, and that files come back as they were."""
 
+import contextlib
 import logging
 from dataclasses import replace
 
@@ -356,8 +357,32 @@ def test_lines_count_line_breaks_inside_quotes(tmp_path):
 
 
 def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="cannot be read: No such file"):
         load_measurements(tmp_path / "none.csv", STUDY)
+    with pytest.raises(InputError, match="is no file"):
+        load_measurements(tmp_path, STUDY)
+
+
+def test_columns_without_a_name_are_ignored_and_named_by_their_place(tmp_path, caplog):
+    assert load_measurements(save(tmp_path, add_columns(TEXT, ",", ",")), STUDY).ignored_columns == ()
+    assert load_measurements(save(tmp_path, add_columns(TEXT, "", "x")), STUDY).ignored_columns == ("column 11",)
+
+
+@given(st.binary(max_size=300))
+def test_no_bytes_make_anything_but_an_input_error(tmp_path_factory, content):
+    path = save(tmp_path_factory.mktemp("fuzz"), content)
+    for load in (load_measurements, load_plan):
+        with pytest.raises(InputError):
+            load(path, STUDY)
+
+
+@given(st.integers(2, 49), st.sampled_from(TEXT.splitlines()[0].split(",")), st.text(max_size=8))
+def test_no_cell_makes_anything_but_data_or_an_input_error(tmp_path_factory, line, column, value):
+    quoted = '"' + value.replace('"', '""') + '"'
+    path = save(tmp_path_factory.mktemp("fuzz"), edit(TEXT, line, column, quoted).encode("utf-8", "replace"))
+    for load in (load_measurements, load_plan):
+        with contextlib.suppress(InputError):
+            load(path, STUDY)
 
 
 # ---- wrong units of a whole file
@@ -387,6 +412,15 @@ def test_wrong_units_are_found_in_a_robot_without_limits(tmp_path):
     assert "rad" in refused(tmp_path, measurements_csv(make_data(study, scale_q=np.pi / 180), study), study)
     assert "outside the limits" in refused(
         tmp_path, measurements_csv(make_data(study, scale_q=180 / np.pi), study), study
+    )
+
+
+def test_readings_of_another_frame_are_no_readings_of_the_base_frame(tmp_path):
+    study = make_study(frame_free=False)
+    data = make_data(study)
+    text = measurements_csv(replace(data, positions=data.positions + 10.0), study)
+    assert "32 of 48 positions are out of reach: x_mm, y_mm, z_mm must be in mm, in the base" in refused(
+        tmp_path, text, study
     )
 
 

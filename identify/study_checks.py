@@ -1,0 +1,160 @@
+"""What the values of a study file say together: ids, loads, noise, effects, poses and limits."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+from identify.problems import Problems, nearest, unknown
+from identify.robot import Robot
+from identify.schema import (
+    EFFECT_NAMES,
+    ConstraintsSection,
+    LoadSection,
+    NoiseSection,
+    PlanSection,
+    StudyFile,
+    TestPoseSection,
+)
+from identify.study_records import load_cases
+from identify.units import DEG, MM
+
+__all__ = ["check_effects", "check_study"]
+
+_EFFECT = re.compile(r"([a-z_]+)(@[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)?)?")
+
+
+def check_study(file: StudyFile, robot: Robot | None, problems: Problems) -> None:
+    """Note what is wrong between values."""
+    _check_markers(file, problems)
+    _check_loads(file, robot, problems)
+    if file.noise is not None and not problems.found("[noise"):
+        _check_noise(file.noise, problems)
+    if file.model is not None:
+        check_effects(file.model.effects, "[model] effects", problems)
+    if file.plan is not None:
+        _check_plan(file.plan, file.loads, problems)
+    if robot is not None:
+        for i, pose in enumerate(file.test_poses or []):
+            _check_test_pose(pose, robot, f"[[test_poses]] {i + 1} joints_deg", problems)
+        if file.constraints is not None:
+            _check_margins(file.constraints, robot, problems)
+
+
+def _check_markers(file: StudyFile, problems: Problems) -> None:
+    """At least one marker on the flange; no name twice."""
+    if file.markers is None or file.fixed_markers is None:
+        return
+    if not file.markers.points and not problems.found("[markers]"):
+        problems.add("[markers]", "at least one marker expected, for example M1 = [300.0, 120.0, -80.0]")
+    for name in file.fixed_markers.points:
+        if name in file.markers.points:
+            problems.add(f"[fixed_markers] {name}", "this id stands in [markers] too; every marker needs its own")
+
+
+def _check_loads(file: StudyFile, robot: Robot | None, problems: Problems) -> None:
+    """No id twice; nothing heavier than the payload."""
+    loads = file.loads or []
+    for i, load in enumerate(loads):
+        first = [other.id for other in loads].index(load.id)
+        if first < i:
+            problems.add(
+                f"[[loads]] {i + 1} id", f"[[loads]] {first + 1} has this id; every load needs its own", load.id
+            )
+    if robot is None or not math.isfinite(robot.payload):
+        return
+    share = file.constraints.payload_share if file.constraints is not None else 1.0
+    allowed = robot.payload * share
+    if robot.tool_mass > allowed * (1 + 1e-9):
+        problems.add("[tool] mass_kg", f"load above payload: at most {allowed:g} kg", robot.tool_mass)
+        return
+    for i, load in enumerate(loads):
+        if load.mass_kg + robot.tool_mass > allowed * (1 + 1e-9):
+            tool = f" with {robot.tool_mass:g} kg of tool" if robot.tool_mass else ""
+            of = f" ({share:g} of the rated payload {robot.payload:g} kg)" if share != 1 else " (the rated payload)"
+            problems.add(
+                f"[[loads]] {i + 1} mass_kg", f"load above payload{tool}: at most {allowed:g} kg{of}", load.mass_kg
+            )
+
+
+def _check_noise(noise: NoiseSection, problems: Problems) -> None:
+    """Exactly one instrument, and it is not perfect (readings are divided by its noise)."""
+    tracker = noise.tracker
+    if noise.reading_mm is not None and tracker is not None:
+        problems.add("[noise] reading_mm", "give reading_mm or the table [noise.tracker], not both", noise.reading_mm)
+    elif noise.reading_mm == 0:
+        problems.add("[noise] reading_mm", "must be above 0: readings are weighted by their noise", 0.0)
+    elif noise.reading_mm is None and tracker is None:
+        problems.add("[noise] reading_mm", "is missing; give it, or the table [noise.tracker]")
+    if tracker is not None:
+        for axis in ("radial", "transverse"):
+            if getattr(tracker, f"{axis}_um") + getattr(tracker, f"{axis}_um_per_m") == 0:
+                problems.add(f"[noise.tracker] {axis}_um", "this or its _per_m must be above 0", 0.0)
+
+
+def check_effects(effects: Sequence[str], key: str, problems: Problems) -> None:
+    """Note effects that are no ``name`` or ``name@where``, unknown or given twice."""
+    for i, effect in enumerate(effects):
+        name = effect.partition("@")[0]
+        entry = f"{key}, entry {i + 1}"
+        if name not in EFFECT_NAMES:
+            problems.add(
+                entry, f"unknown effect{nearest(name, EFFECT_NAMES)}; allowed: {', '.join(EFFECT_NAMES)}", effect
+            )
+        elif not _EFFECT.fullmatch(effect):
+            problems.add(entry, "write name or name@where, for example joint_compliance@j2", effect)
+        elif effect in effects[:i]:
+            problems.add(entry, "stands twice", effect)
+
+
+def _check_plan(plan: PlanSection, loads: list[LoadSection] | None, problems: Problems) -> None:
+    """Poses or a tolerance; loads that exist and load the robot."""
+    if plan.poses is not None and plan.tolerance_mm is not None:
+        problems.add("[plan] poses", "give poses or tolerance_mm, not both", plan.poses)
+    if loads is None or plan.loads is None:
+        return
+    known = {case.name: case for case in load_cases(loads)}
+    for i, name in enumerate(plan.loads):
+        if name not in known:
+            problems.add(f"[plan] loads, entry {i + 1}", unknown("load", name, list(known)), name)
+        elif name in plan.loads[:i]:
+            problems.add(f"[plan] loads, entry {i + 1}", "stands twice", name)
+    if all(name in known and known[name].unloaded for name in plan.loads):
+        loaded = [name for name, case in known.items() if not case.unloaded]
+        problems.add(
+            "[plan] loads",
+            f"no load among them loads the robot; loaded are: {', '.join(loaded) or 'none'}. Give a mass or a wrench "
+            "under [[loads]], or leave the key out to plan unloaded readings",
+            plan.loads,
+        )
+    elif plan.loads_per_pose > len(plan.loads):
+        problems.add("[plan] loads_per_pose", f"at most {len(plan.loads)}, the number of loads", plan.loads_per_pose)
+
+
+def _check_test_pose(pose: TestPoseSection, robot: Robot, key: str, problems: Problems) -> None:
+    """One value a joint, inside its limits."""
+    if len(pose.joints_deg) != robot.n:
+        what = f"{robot.n} values expected, one a joint of {robot.name}, {len(pose.joints_deg)} given"
+        problems.add(key, what, pose.joints_deg)
+        return
+    for j, (value, slides) in enumerate(zip(pose.joints_deg, robot.prismatic, strict=True)):
+        unit, name = (MM, "mm") if slides else (DEG, "deg")
+        low, high = robot.lower[j] / unit, robot.upper[j] / unit
+        if not low - 1e-6 <= value <= high + 1e-6:
+            problems.add(
+                f"{key}, entry {j + 1}", f"outside the limits {low:g} to {high:g} {name} of {robot.joints[j]}", value
+            )
+
+
+def _check_margins(table: ConstraintsSection, robot: Robot, problems: Problems) -> None:
+    """The margins leave every joint a range."""
+    for slides, key, unit in ((False, "joint_margin_deg", DEG), (True, "joint_margin_mm", MM)):
+        margin = getattr(table, key)
+        tight = [
+            name
+            for name, low, high, kind in zip(robot.joints, robot.lower, robot.upper, robot.prismatic, strict=True)
+            if kind == slides and high - low <= 2 * margin * unit
+        ]
+        if margin and tight:
+            problems.add(f"[constraints] {key}", f"leaves no range to joint {', '.join(tight)}", margin)

@@ -1,0 +1,129 @@
+"""Checked tables of a study file as records in SI."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from identify.arrays import frozen
+from identify.loads import LoadCase, Markers
+from identify.robot import Robot
+from identify.schema import (
+    ConstraintsSection,
+    LoadSection,
+    NoiseSection,
+    PlanSection,
+    PointSection,
+    TestPoseSection,
+    TrackerSection,
+)
+from identify.study import Constraints, Noise, PlanSettings, TestPose, Tracker
+from identify.units import DEG, MM, UM, URAD
+
+__all__ = ["constraints", "load_cases", "markers", "noise_from", "plan_settings", "test_pose"]
+
+
+def markers(on_flange: PointSection | None, on_base: PointSection | None) -> Markers:
+    """Markers of the flange, then those of the base."""
+    tables = [table.points if table else {} for table in (on_flange, on_base)]
+    return Markers(
+        names=tuple(name for points in tables for name in points),
+        positions=np.array([point for points in tables for point in points.values()]).reshape(-1, 3) * MM,
+        on_base=np.repeat([False, True], [len(points) for points in tables]),
+    )
+
+
+def load_cases(tables: Iterable[LoadSection]) -> tuple[LoadCase, ...]:
+    """The loads, with the unloaded state in front where the file has none."""
+    cases = tuple(
+        LoadCase(
+            name=table.id,
+            mass=table.mass_kg,
+            attach=frozen(table.attach_mm) * MM,
+            force=frozen(table.wrench[:3]),
+            moment=frozen(table.wrench[3:]),
+            in_flange=table.frame == "flange",
+            mass_std=table.mass_std_kg,
+            attach_std=table.attach_std_mm * MM,
+        )
+        for table in tables
+    )
+    if any(case.unloaded or case.name == "L0" for case in cases):
+        return cases
+    return (LoadCase("L0"), *cases)
+
+
+def noise_from(table: NoiseSection, base: Noise) -> Noise:
+    """Noise in SI; what the table does not say is taken from ``base``."""
+    reading, tracker = base.reading, base.tracker
+    if table.tracker is not None:
+        reading, tracker = 0.0, _tracker(table.tracker)
+    elif table.reading_mm is not None:
+        reading, tracker = table.reading_mm * MM, None
+    return Noise(
+        reading=reading,
+        tracker=tracker,
+        pose_jitter=_scaled(table.pose_jitter_urad, URAD, base.pose_jitter),
+        reading_jitter=_scaled(table.reading_jitter_urad, URAD, base.reading_jitter),
+        orientation=_scaled(table.orientation_urad, URAD, base.orientation),
+    )
+
+
+def _scaled(value: float | None, unit: float, default: float) -> float:
+    """A value in SI, or the default where none is given."""
+    return default if value is None else value * unit
+
+
+def _tracker(table: TrackerSection) -> Tracker:
+    """Range-dependent noise in SI."""
+    return Tracker(
+        radial=table.radial_um * UM,
+        radial_per_m=table.radial_um_per_m * UM,
+        transverse=table.transverse_um * UM,
+        transverse_per_m=table.transverse_um_per_m * UM,
+        station=None if table.station_mm is None else frozen(np.array(table.station_mm) * MM),
+    )
+
+
+def test_pose(table: TestPoseSection, robot: Robot) -> TestPose:
+    """A test pose in SI."""
+    return TestPose(
+        q=np.array(table.joints_deg) * np.where(robot.prismatic, MM, DEG),
+        wrench=frozen(table.wrench),
+        in_flange=table.frame == "flange",
+        attach=frozen(table.attach_mm) * MM,
+        point=frozen(table.attach_mm if table.point_mm is None else table.point_mm) * MM,
+        weight=table.weight,
+    )
+
+
+def plan_settings(table: PlanSection, loads: Sequence[LoadCase]) -> PlanSettings:
+    """What the plan is asked for, in SI."""
+    poses = 15 if table.poses is None and table.tolerance_mm is None else table.poses
+    loaded = [load.name for load in loads if not load.unloaded]
+    return PlanSettings(
+        poses=poses,
+        tolerance=None if table.tolerance_mm is None else table.tolerance_mm * MM,
+        confidence=table.confidence,
+        loads=tuple(loaded if table.loads is None else table.loads),
+        criterion=table.criterion,
+        candidates=table.candidates,
+        refine=table.refine,
+        loads_per_pose=table.loads_per_pose,
+        reference_rows=table.reference_rows,
+        repeats=table.repeats,
+        max_std_percent=table.max_std_percent,
+    )
+
+
+def constraints(table: ConstraintsSection) -> Constraints:
+    """What poses must keep to, in SI."""
+    return Constraints(
+        joint_margin=table.joint_margin_deg * DEG,
+        joint_margin_slide=table.joint_margin_mm * MM,
+        floor=None if table.floor_mm is None else table.floor_mm * MM,
+        payload_share=table.payload_share,
+        self_collision=table.self_collision,
+        link_radius=None if table.link_radius_mm is None else table.link_radius_mm * MM,
+    )

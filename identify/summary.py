@@ -1,0 +1,194 @@
+"""Results as plain data: the content of ``identify.json``, and what `predict` reads back from it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from identify.alignment import inverse
+from identify.arrays import Floats
+from identify.errors import InputError
+from identify.experiment import Experiment
+from identify.identifiability import why_not
+from identify.identification import Identification, Misfit
+from identify.model import Model, marker_positions, model_of, respond
+from identify.study import Study
+from identify.units import MM
+
+__all__ = ["Fitted", "identification_json", "load_fitted", "predict"]
+
+
+def identification_json(result: Identification) -> dict[str, Any]:
+    """The content of ``identify.json`` (without schema and provenance); lengths in mm."""
+    found, data = result.fit, result.data
+    kept = found.identifiability.kept
+    heldout = result.heldout
+    return {
+        "parameters": [_parameter(result, int(index)) for index in kept],
+        "covariance": result.covariance[np.ix_(kept, kept)],
+        "covariance_kind": result.covariance_kind,
+        "effects": list(result.study.effects),
+        "reference": result.reference,
+        "frames": {"base_T_measurement": _in_mm(found.state.base_T_measurement)},
+        "markers": dict(
+            zip(
+                result.study.markers.names,
+                marker_positions(found.model, data.experiment, result.values) / MM,
+                strict=True,
+            )
+        ),
+        "rank": found.identifiability.rank,
+        "nonidentifiable": [
+            {"name": found.model.names[dropped.column], "why": why_not(found.model, dropped)}
+            for dropped in _dropped(result)
+        ],
+        "chi2": found.chi2,
+        "dof": found.dof,
+        "p_value": result.p_value,
+        "robust_scale": found.scale,
+        "residual": {"rms_mm": result.misfit.rms / MM, "max_mm": result.misfit.maximum / MM, **_by(result)},
+        "heldout": None
+        if heldout is None
+        else {
+            "rms_mm": heldout.misfit.rms / MM,
+            "max_mm": heldout.misfit.maximum / MM,
+            "poses": heldout.visits,
+        },
+        "compensated_percent": result.compensated_percent,
+        "worst": [_bad_row(result, int(row)) for row in result.worst],
+        "ignored_columns": list(data.ignored_columns),
+        "notes": list(result.notes),
+    }
+
+
+def _dropped(result: Identification) -> list[Any]:
+    """What could not be identified, frame and markers left out where others are asked for."""
+    model = result.model
+    return [
+        d for d in result.fit.identifiability.dropped if result.fit.fitted[d.column] or not model.nuisance[d.column]
+    ]
+
+
+def _parameter(result: Identification, index: int) -> dict[str, Any]:
+    parameter = result.model.parameters[index]
+    value, std = float(result.values[index]), float(np.sqrt(result.covariance[index, index]))
+    half = result.quantile * std
+    return {
+        "name": parameter.name,
+        "value": value,
+        "unit": parameter.unit,
+        "std": std,
+        "ci95": [value - half, value + half],
+        "nuisance": parameter.nuisance,
+    }
+
+
+def _in_mm(placement: Floats) -> Floats:
+    """A placement with its translation in mm."""
+    scaled = placement.copy()
+    scaled[:3, 3] /= MM
+    return scaled
+
+
+def _by(result: Identification) -> dict[str, Any]:
+    """Rms of the misfit per axis (base frame), marker and load, mm."""
+    misfit, experiment = result.misfit, result.data.experiment
+    marker = experiment.row_marker[misfit.rows]
+    load = experiment.shot_load[experiment.row_shot][misfit.rows]
+    axes = np.sqrt((misfit.error**2).mean(axis=0)) / MM if len(misfit.error) else np.full(3, np.nan)
+    return {
+        "axis_rms_mm": dict(zip("xyz", axes, strict=True)),
+        "marker_rms_mm": {
+            name: Misfit(misfit.error[marker == index], misfit.rows).rms / MM
+            for index, name in enumerate(experiment.markers.names)
+        },
+        "load_rms_mm": {
+            case.name: Misfit(misfit.error[load == index], misfit.rows).rms / MM
+            for index, case in enumerate(experiment.loads)
+            if (load == index).any()
+        },
+    }
+
+
+def _bad_row(result: Identification, row: int) -> dict[str, Any]:
+    experiment = result.data.experiment
+    shot = experiment.row_shot[row]
+    return {
+        "line": int(result.data.lines[row]),
+        "pose": experiment.visits[experiment.shot_visit[shot]],
+        "load": experiment.loads[experiment.shot_load[shot]].name,
+        "marker": experiment.markers.names[experiment.row_marker[row]],
+        "repeat": int(experiment.shot_repeat[shot]),
+        "z": float(result.fit.z[row] / result.fit.scale),
+        "error_mm": float(np.linalg.norm(result.fit.residual[row]) / MM),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A fitted model read back from a result file.
+
+    Attributes:
+        model: The model of the result's effects.
+        values: (p,) its parameters; frame values are zero, they are in the placement.
+        covariance: (p, p).
+        base_T_measurement: (4, 4) m.
+    """
+
+    model: Model
+    values: Floats
+    covariance: Floats
+    base_T_measurement: Floats
+
+
+def load_fitted(path: str | Path, study: Study) -> Fitted:
+    """Read an ``identify.json`` (or the ``identification`` of a ``diagnose.json``).
+
+    Raises:
+        InputError: The file cannot be read, or does not belong to this study.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        content = content.get("identification", content)
+        model = model_of(study, tuple(content["effects"]))
+        listed = [str(parameter["name"]) for parameter in content["parameters"]]
+        given = np.array([float(parameter["value"]) for parameter in content["parameters"]])
+        spread = np.array(content["covariance"], dtype=np.float64).reshape(len(given), len(given))
+        placement = np.array(content["frames"]["base_T_measurement"], dtype=np.float64).reshape(4, 4)
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: no result of identify or diagnose ({type(error).__name__}: {error})") from None
+    unknown = sorted(set(listed) - set(model.names))
+    if unknown or not np.isfinite(given).all() or not np.isfinite(spread).all() or not np.isfinite(placement).all():
+        raise InputError(
+            f"{path}: does not belong to {study.path}: "
+            + (f"the study has no parameter {', '.join(unknown)}" if unknown else "a number is not finite")
+        )
+    index = [model.names.index(name) for name in listed]
+    values = model.nominal.copy()
+    values[index] = given
+    values[: model.frame_size] = 0.0
+    covariance = np.zeros((len(values), len(values)))
+    covariance[np.ix_(index, index)] = spread
+    placement[:3, 3] *= MM
+    return Fitted(model, values, covariance, placement)
+
+
+def predict(fitted: Fitted, experiment: Experiment) -> tuple[Floats, Floats]:
+    """Where the markers will be read and how sure that is (parameters only).
+
+    Returns:
+        (R, 3) positions and (R, 3) standard deviations in the frame of the measurements, m.
+    """
+    response = respond(fitted.model, experiment, fitted.values)
+    back = inverse(fitted.base_T_measurement)
+    position = response.position @ back[:3, :3].T + back[:3, 3]
+    columns = back[:3, :3] @ response.derivative
+    variance = np.einsum("rip,pq,riq->ri", columns, fitted.covariance, columns, optimize=True)
+    return position, np.sqrt(np.maximum(variance, 0.0))
