@@ -69,7 +69,8 @@ def _identify_lines(content: dict[str, Any]) -> tuple[str, ...]:
     lines.append(f"error after the fit: rms {misfit['rms_mm']:.4f} mm, max {misfit['max_mm']:.4f} mm")
     if heldout:
         lines.append(
-            f"error on {heldout['poses']} held-out poses: rms {heldout['rms_mm']:.4f} mm, max {heldout['max_mm']:.4f} mm"
+            f"error on {heldout['poses']} held-out poses: "
+            f"rms {heldout['rms_mm']:.4f} mm, max {heldout['max_mm']:.4f} mm"
         )
     if content["compensated_percent"] is not None:
         lines.append(f"deflection compensated: {content['compensated_percent']:.1f} %")

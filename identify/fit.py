@@ -180,7 +180,7 @@ def _evaluate(problem: _Problem, state: State) -> Fit:
     columns = operators.apply(response.derivative)
     columns[:, ~free] = 0.0
     whitened = operators.apply(residual)
-    spread = max(1.0, (whitened @ whitened / len(whitened)) ** 0.5)
+    spread = max(1.0, float(np.sqrt(whitened @ whitened / max(len(whitened), 1))))
     limits = np.array([parameter.limit for parameter in model.parameters])
     chosen = np.flatnonzero(free)
     found = independent_columns(triangle([columns[:, chosen]]), limits[chosen], spread)

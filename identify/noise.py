@@ -199,5 +199,5 @@ def _helmert(size: int) -> Floats:
 
 def _kron(left: Floats, right: Floats) -> Floats:
     """Kronecker products of one (r, s) matrix with many (G, m, m): (G, r m, s m)."""
-    product = np.einsum("rs,gij->grisj", left, right)
+    product: Floats = np.einsum("rs,gij->grisj", left, right)
     return product.reshape(len(right), left.shape[0] * right.shape[1], left.shape[1] * right.shape[2])

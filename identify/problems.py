@@ -51,7 +51,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         size = path.stat().st_size
         if size > MAX_BYTES:
-            raise InputError(f"{path}: {size} bytes; a study or truth file has at most {MAX_BYTES}")
+            raise InputError(f"{path}: {size} bytes; a TOML file has at most {MAX_BYTES}")
         return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None

@@ -10,7 +10,6 @@ A sliding joint adds its value to ``d``. The format is described in ``docs/robot
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,13 +21,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from identify.arrays import Floats
 from identify.errors import InputError
+from identify.problems import read_toml
 from identify.robot import STANDARD_GRAVITY, ControllerMap, Robot
 from identify.transforms import axis_frame, roll_pitch_yaw, rotation, translation
 from identify.units import DEG, MM
 
 __all__ = ["find_robot_file", "load_robot", "robot_from_toml", "shipped_robots"]
 
-MAX_BYTES = 1_000_000
 SUFFIXES = (".toml", ".urdf")
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-1e9, le=1e9)]
@@ -288,7 +287,7 @@ def robot_from_toml(path: str | Path) -> Robot:
         InputError: The file is no TOML, or a key or value is wrong; all problems in one message.
     """
     path = Path(path)
-    table = _read(path)
+    table = read_toml(path)
     model = _ChainFile if table.get("convention") == "chain" else _DhFile
     try:
         return _robot(model.model_validate(table))
@@ -356,25 +355,6 @@ def _matrix(rows: Sequence[Sequence[float]], n: int) -> Floats:
     if [len(row) for row in rows] != [n] * n:
         raise InputError(f"controller.coupling: {n} rows of {n} numbers expected, one row a joint")
     return np.array(rows, dtype=np.float64)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """The TOML table of a file."""
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise InputError(f"{path}: {size} bytes; a robot file has at most {MAX_BYTES}")
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"robot file {path} cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: byte {error.start} is no UTF-8 text") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: no TOML: {error}") from None
-    except ValueError as error:
-        raise InputError(f"{path}: a number cannot be read: {error}") from None
-    except RecursionError:
-        raise InputError(f"{path}: arrays or tables are nested too deeply; a robot file needs four levels") from None
 
 
 _M = TypeVar("_M", bound=_RobotFile)

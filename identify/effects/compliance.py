@@ -37,11 +37,12 @@ def joint_compliance(robot: Robot, where: tuple[str, ...]) -> Effect:
     def derivative(scene: Scene, values: Floats) -> Floats:
         torque = scene.torque[:, index] * scale
         columns = scene.motion[:, index] * torque[scene.experiment.row_shot][:, :, None]
-        return columns.swapaxes(1, 2)
+        return np.asarray(columns.swapaxes(1, 2))
 
     def displacement(scene: Scene, values: Floats) -> Floats:
-        yielded = scene.torque[:, index] * (scale * values)
-        return np.einsum("rji,rj->ri", scene.motion[:, index], yielded[scene.experiment.row_shot])
+        yielded: Floats = scene.torque[:, index] * (scale * values)
+        moved: Floats = np.einsum("rji,rj->ri", scene.motion[:, index], yielded[scene.experiment.row_shot])
+        return moved
 
     def why_zero(parameter: int) -> str:
         joint = index[parameter]

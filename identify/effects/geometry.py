@@ -87,7 +87,8 @@ def geometry(robot: Robot, where: tuple[str, ...], *, flange: bool = False) -> E
                 columns[:, :, column] = axis if step[0] == "t" else cross(axis, arm)
                 column += 1
         columns[fixed] = 0.0
-        return columns * scale
+        columns *= scale
+        return columns
 
     def displacement(scene: Scene, values: Floats) -> Floats:
         return np.zeros_like(scene.point)  # the scene is already built on the adjusted robot

@@ -466,8 +466,8 @@ def test_a_table_without_joints_or_with_an_empty_list(tmp_path):
     [
         (b"\xff\xfe\x00", "no UTF-8"),
         (b"a = " + b"[" * 100_000, "nested too deeply"),
-        (b"#" * 1_000_001, "1000001 bytes; a robot file has at most 1000000"),
-        (b"a = " + b"9" * 5000, "number cannot be read"),
+        (b"#" * 10_000_001, "10000001 bytes; a TOML file has at most 10000000"),
+        (b"a = " + b"9" * 5000, "value cannot be read"),
         (b"", "is missing"),
     ],
 )
