@@ -10,7 +10,7 @@ import numpy as np
 from identify.arrays import Floats, Ints
 from identify.effects import build_scene
 from identify.errors import InputError, NotIdentifiable
-from identify.experiment import full_experiment
+from identify.experiment import Experiment, full_experiment
 from identify.identifiability import Identifiability, independent_columns, triangle, why_not
 from identify.kinematics import forward
 from identify.loads import LoadCase, Markers
@@ -18,7 +18,7 @@ from identify.model import Model, model_of, respond, without_nuisance
 from identify.noise import whitening
 from identify.study import Study
 
-__all__ = ["Observer", "identifiable", "observer", "target_rows"]
+__all__ = ["Observer", "identifiable", "keep_columns", "observer", "stacked_visits", "target_rows"]
 
 _CHUNK = 4096  # poses at a time: the fields of one chunk stay in cache
 
@@ -47,20 +47,18 @@ class Observer:
         Returns:
             (N, k, p) rows per unit of each parameter of the observer's model.
         """
-        parts = []
+        total: Floats | None = None
         for start in range(0, len(q), _CHUNK):
-            parts.append(self._chunk(q[start : start + _CHUNK], visit_loads[start : start + _CHUNK]))
-        return parts[0] if len(parts) == 1 else _joined(parts)
+            part = self._chunk(q[start : start + _CHUNK], visit_loads[start : start + _CHUNK])
+            if total is None:
+                total = np.empty((len(q), *part.shape[1:]))
+            total[start : start + len(part)] = part
+        if total is None:
+            raise InputError(f"{self.study.path}: no poses to observe")
+        return total
 
     def _chunk(self, q: Floats, visit_loads: Ints) -> Floats:
-        study, model = self.study, self.model
-        experiment = full_experiment(q, visit_loads, study.loads, study.markers)
-        response = respond(model, experiment, model.nominal)
-        free_offsets = self.reference == "differences"
-        operators = whitening(response.scene, study.noise, _station(study), free_offsets=free_offsets)
-        assert response.derivative is not None
-        (block,) = operators.blocks(response.derivative)
-        return block
+        return stacked_visits(self, full_experiment(q, visit_loads, self.study.loads, self.study.markers))
 
 
 def observer(study: Study) -> Observer:
@@ -72,20 +70,25 @@ def observer(study: Study) -> Observer:
     model = model_of(study)
     reference = study.reference
     if reference == "auto":
-        reference = "absolute" if study.robot.masses_known or not study.plan.reference_rows else "differences"
+        elastic = any(effect.yields for effect in model.effects)
+        compares = elastic and (study.plan.reference_rows or study.plan.loads_per_pose > 1)
+        reference = "differences" if compares and not study.robot.masses_known else "absolute"
     return Observer(study, model if reference == "absolute" else without_nuisance(model), reference)
 
 
-def _joined(parts: list[Floats]) -> Floats:
-    """Concatenate chunks, freeing each as it is copied."""
-    total = np.empty((sum(len(part) for part in parts), *parts[0].shape[1:]))
+def stacked_visits(observer: Observer, experiment: Experiment) -> Floats:
+    """Blocks of visits of any layout, (V, k, p); short ones are filled up with rows of zeros."""
+    model = observer.model
+    response = respond(model, experiment, model.nominal)
+    free_offsets = observer.reference == "differences"
+    operators = whitening(response.scene, observer.study.noise, _station(observer.study), free_offsets=free_offsets)
+    groups = list(operators.blocks(response.derivative))
+    blocks = np.zeros((sum(map(len, groups)), max(group.shape[1] for group in groups), len(model.parameters)))
     start = 0
-    parts.reverse()
-    while parts:
-        part = parts.pop()
-        total[start : start + len(part)] = part
-        start += len(part)
-    return total
+    for group in groups:
+        blocks[start : start + len(group), : group.shape[1]] = group
+        start += len(group)
+    return blocks
 
 
 def _station(study: Study) -> Floats:
@@ -151,3 +154,16 @@ def _test_rows(observer: Observer, index: int) -> Floats:
 def identifiable(blocks: Floats) -> Identifiability:
     """Kept parameters of a set of blocks (N, k, p)."""
     return independent_columns(triangle([blocks.reshape(-1, blocks.shape[2])]))
+
+
+def keep_columns(blocks: Floats, kept: Ints) -> Floats:
+    """The kept columns (N, k, rank), moved together in the memory of ``blocks`` (N, k, p), which is used up."""
+    count, rows, columns = blocks.shape
+    if len(kept) == columns:
+        return blocks
+    memory = blocks.reshape(-1)
+    for start in range(0, count, _CHUNK):
+        part = blocks[start : start + _CHUNK][:, :, kept].reshape(-1)
+        begin = start * rows * len(kept)
+        memory[begin : begin + len(part)] = part  # never reaches what has not been read yet
+    return memory[: count * rows * len(kept)].reshape(count, rows, len(kept))

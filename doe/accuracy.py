@@ -1,0 +1,82 @@
+"""Expected error at the test poses: its covariance, its mean square, and the radius that holds it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from identify.arrays import Floats
+from identify.kinematics import forward, jacobian
+from identify.study import Study
+from identify.units import MM
+
+__all__ = ["Accuracy", "accuracy", "jitter_covariance", "radius"]
+
+_DRAWS = 2**14
+
+
+@dataclass(frozen=True, eq=False)
+class Accuracy:
+    """Accuracy at t test poses, mm.
+
+    Attributes:
+        covariance: (t, 3, 3) of the error from parameter uncertainty, mm^2, base frame.
+        jitter: (t, 3, 3) of the robot's own pose jitter, mm^2.
+        weights: (t,) weights, sum 1.
+    """
+
+    covariance: Floats
+    jitter: Floats
+    weights: Floats
+
+    @property
+    def rms(self) -> float:
+        """``sqrt(sum weight E|e|^2)``, parameters only, mm."""
+        return float(np.sqrt(self.weights @ np.trace(self.covariance, axis1=1, axis2=2)))
+
+    @property
+    def rms_total(self) -> float:
+        """The same with the robot's pose jitter, mm."""
+        return float(np.sqrt(self.weights @ np.trace(self.covariance + self.jitter, axis1=1, axis2=2)))
+
+
+def accuracy(study: Study, rows: Floats, covariance: Floats) -> Accuracy:
+    """Accuracy at the test poses of a study.
+
+    Args:
+        study: The study.
+        rows: (t, 3, p) error per unit of each parameter, mm.
+        covariance: (p, p) of the parameters.
+    """
+    weights = np.array([pose.weight for pose in study.test_poses])
+    return Accuracy(rows @ covariance @ rows.swapaxes(1, 2), jitter_covariance(study), weights / weights.sum())
+
+
+def jitter_covariance(study: Study) -> Floats:
+    """(t, 3, 3) covariance of the points of the test poses from the robot's pose jitter, mm^2."""
+    frames = forward(study.robot, np.stack([pose.q for pose in study.test_poses]))
+    points = frames.point(np.stack([pose.point for pose in study.test_poses]))
+    linear = jacobian(frames, points)[:, :3] * (study.noise.pose_jitter / MM)
+    product: Floats = linear @ linear.swapaxes(1, 2)
+    return product
+
+
+def radius(covariance: Floats, confidence: float) -> float:
+    """Radius that holds a zero-mean Gaussian 3-D error with this confidence, unit of the covariance's root.
+
+    By 16,384 quasi-random draws: good to about 0.1 %, the same at every call.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return float(np.quantile(np.linalg.norm(_standard_draws() @ root.T, axis=1), confidence))
+
+
+@lru_cache(maxsize=1)
+def _standard_draws() -> Floats:
+    """(16384, 3) standard normal points of a scrambled Sobol sequence."""
+    from scipy.stats.qmc import MultivariateNormalQMC
+
+    draws: Floats = MultivariateNormalQMC(np.zeros(3), rng=np.random.default_rng(0)).random(_DRAWS)
+    return draws

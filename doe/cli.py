@@ -1,0 +1,169 @@
+"""The command line: reads arguments, writes results, prints, and turns errors into exit codes.
+
+Everything heavy is imported inside the command that needs it, so that help answers at once.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, CycloptsError, Parameter
+
+if TYPE_CHECKING:
+    from identify.commands import Outcome
+
+__all__ = ["app", "main"]
+
+app = App(
+    name="elastocal",
+    help="Plan the measurement of a loaded robot, identify its stiffness, predict where it will be.",
+    version_flags=["--version"],
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Common:
+    """Options that every command has.
+
+    Attributes:
+        seed: Seed of all random choices; the same seed gives the same bytes.
+        json: Print the result as one JSON object on stdout, and nothing else there.
+        quiet: No progress on stderr.
+        force: Replace results in a folder that is not empty.
+    """
+
+    seed: int = 0
+    json: Annotated[bool, Parameter(negative="")] = False
+    quiet: Annotated[bool, Parameter(negative="")] = False
+    force: Annotated[bool, Parameter(negative="")] = False
+
+
+_DEFAULT = Common()
+
+
+@app.command
+def plan(study: Path, *, out: Path, common: Common = _DEFAULT) -> int:
+    """Pick the poses and loads to measure.
+
+    Args:
+        study: Study file (TOML).
+        out: Folder for plan.json and plan.csv.
+    """
+    from doe.commands import run_plan
+
+    return _finish(lambda: run_plan(study, seed=common.seed), out, common)
+
+
+@app.command
+def evaluate(study: Path, plan: Path, *, out: Path, common: Common = _DEFAULT) -> int:
+    """Judge any set of poses and loads.
+
+    Args:
+        study: Study file (TOML).
+        plan: Pose file (CSV): pose, load, q1_deg ...
+        out: Folder for evaluate.json.
+    """
+    from doe.commands import run_evaluate
+
+    return _finish(lambda: run_evaluate(study, plan, seed=common.seed), out, common)
+
+
+@app.command
+def simulate(study: Path, plan: Path, *, truth: Path | None = None, out: Path, common: Common = _DEFAULT) -> int:
+    """Make measurements from a stated truth.
+
+    Args:
+        study: Study file (TOML).
+        plan: Pose file (CSV).
+        truth: What differs from the study (TOML); by default nothing does.
+        out: Folder for simulate.json and measurements.csv.
+    """
+    from identify.commands import run_simulate
+
+    return _finish(lambda: run_simulate(study, plan, truth, seed=common.seed), out, common)
+
+
+@app.command
+def identify(study: Path, measurements: Path, *, out: Path, common: Common = _DEFAULT) -> int:
+    """Fit the parameters of the study to measurements.
+
+    Args:
+        study: Study file (TOML).
+        measurements: Measured positions (CSV).
+        out: Folder for identify.json.
+    """
+    from identify.commands import run_identify
+
+    return _finish(lambda: run_identify(study, measurements, seed=common.seed), out, common)
+
+
+@app.command
+def predict(study: Path, result: Path, plan: Path, *, out: Path, common: Common = _DEFAULT) -> int:
+    """Predict where the markers will be read.
+
+    Args:
+        study: Study file (TOML).
+        result: identify.json or diagnose.json.
+        plan: Pose file (CSV).
+        out: Folder for predict.json and predicted.csv.
+    """
+    from identify.commands import run_predict
+
+    return _finish(lambda: run_predict(study, result, plan, seed=common.seed), out, common)
+
+
+def _finish(run: Callable[[], Outcome], out: Path, common: Common) -> int:
+    """Run a command, write its files and print its summary."""
+    from identify.results import check_out, json_text, provenance, write_results
+
+    _log_to_stderr(quiet=common.quiet)
+    check_out(out, common.force)
+    outcome = run()
+    content = {**outcome.content, "provenance": provenance(outcome.inputs, common.seed)}
+    text = json_text(content)
+    write_results(out, {f"{outcome.command}.json": text, **outcome.tables}, force=common.force)
+    if common.json:
+        sys.stdout.write(text)
+    else:
+        sys.stdout.write("\n".join([*outcome.lines, f"written to {out}/{outcome.command}.json"]) + "\n")
+    return 0
+
+
+def _log_to_stderr(*, quiet: bool) -> None:
+    log = logging.getLogger("elastocal")
+    log.handlers = [logging.StreamHandler(sys.stderr)]
+    log.setLevel(logging.ERROR if quiet else logging.INFO)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point; exits with 0 done, 1 a fault of ours, 2 bad input, 3 cannot be done as stated."""
+    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command line and return its exit code."""
+    from identify.errors import ElastocalError
+
+    try:
+        code = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        return int(code or 0)
+    except CycloptsError as error:
+        sys.stderr.write(f"error: {error}\nTry elastocal --help.\n")
+        return 2
+    except ElastocalError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return error.exit_code
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted; nothing was written\n")
+        return 130
+    except Exception:
+        traceback.print_exc()
+        sys.stderr.write("error: this is a fault of elastocal, not of your input; please report it\n")
+        return 1

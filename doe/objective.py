@@ -1,0 +1,93 @@
+"""What a plan is judged by: the criterion of the study on the parameters that can be identified."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from doe.observations import Observer, target_rows
+from identify.arrays import Floats
+from identify.errors import NotIdentifiable
+from identify.identifiability import Identifiability, why_not
+from identify.study import Criterion
+from identify.units import MM
+
+__all__ = ["Objective", "objective"]
+
+log = logging.getLogger("elastocal")
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """A criterion with its target.
+
+    Attributes:
+        criterion: test_pose, A, D, E or G.
+        rows: (t, 3, p) rows of the test poses, mm per unit; None without test poses.
+        weights: (t,) weights of the test poses, sum 1.
+        size: Number p of identifiable parameters.
+    """
+
+    criterion: Criterion
+    rows: Floats | None
+    weights: Floats
+    size: int
+
+    def target(self, criterion: Criterion | None = None) -> Floats:
+        """What `approximate_design` and `exact_design` call ``target``."""
+        criterion = criterion or self.criterion
+        if criterion == "G" and self.rows is not None:
+            return self.rows
+        if criterion == "test_pose" and self.rows is not None:
+            return (np.sqrt(self.weights)[:, None, None] * self.rows).reshape(-1, self.size)
+        return np.eye(self.size)
+
+    def guarded(self, scale: Floats, share: float) -> Floats:
+        """Target with ``share`` of the parameters' own variances, each on the scale of ``scale`` (p,), added."""
+        guard = np.sqrt(share) * np.diag(1.0 / scale)
+        if self.criterion == "G":
+            target = self.target()
+            return np.concatenate([target, np.broadcast_to(guard, (len(target), *guard.shape))], axis=1)
+        return np.vstack([self.target(), guard])
+
+    def value(self, information: Floats, criterion: Criterion | None = None) -> float:
+        """Value of a criterion at an information matrix (p, p); infinite if the matrix is singular for it."""
+        criterion = criterion or self.criterion
+        scale = np.sqrt(np.diag(information))
+        if not (scale > 0).all():
+            return float("inf")
+        values, vectors = np.linalg.eigh(information / scale / scale[:, None])
+        if values[0] <= 1e-15 * values[-1]:
+            return float("inf")
+        if criterion == "D":
+            return float(np.exp(-(np.log(values).sum() + 2 * np.log(scale).sum()) / self.size))
+        root = vectors / np.sqrt(values) / scale[:, None]  # information^-1 = root root'
+        if criterion == "E":
+            return float(np.linalg.norm(root, 2) ** 2)
+        squares = (self.target(criterion) @ root) ** 2
+        return float(squares.sum(axis=(1, 2)).max() if criterion == "G" else squares.sum())
+
+
+def objective(observer: Observer, known: Identifiability, criterion: Criterion) -> Objective:
+    """The objective of a study on the kept parameters.
+
+    Raises:
+        InputError: The criterion needs test poses and there are none.
+        NotIdentifiable: Nothing can be identified, or the criterion needs a direction that the candidates cannot show.
+    """
+    model, poses = observer.model, observer.study.test_poses
+    if not len(known.kept):
+        reasons = "; ".join(f"{model.names[d.column]}: {why_not(model, d)}" for d in known.dropped[:5])
+        raise NotIdentifiable(f"{observer.study.path}: no parameter can be identified: {reasons}", model.names)
+    rows = None
+    try:
+        if poses or criterion in {"test_pose", "G"}:
+            rows = target_rows(observer, known) / MM
+    except NotIdentifiable as error:
+        if criterion in {"test_pose", "G"}:
+            raise
+        log.warning("accuracy at the test poses cannot be told: %s", error)
+    weights = np.array([pose.weight for pose in poses])
+    return Objective(criterion, rows, weights / max(weights.sum(), 1e-300), len(known.kept))
