@@ -28,7 +28,8 @@ __all__ = ["OUTLYING", "Fit", "State", "fit", "start"]
 
 OUTLYING = 7.0  # P(chi(3) > 7) = 1.3e-10; model errors of real robots reach 6 robust sigmas
 _MEDIAN_CHI2_3 = 2.365974
-_STEP = 1e-4  # converged when no step moves the fit by more than this many sigmas
+_STEP = 1e-7  # converged when no step moves the fit by more than this many sigmas
+_NEARLY = 1e-4  # good enough where rounding does not let it come closer
 _MAX_STEPS = 60
 _MAX_REWEIGHTS = 30
 
@@ -138,7 +139,7 @@ def fit(
     found = _gauss_newton(problem, state)
     for _ in range(_MAX_REWEIGHTS):
         limit = OUTLYING * found.scale
-        weights = np.where(found.z > limit, (limit / np.maximum(found.z, 1e-300)) ** 2, 1.0)
+        weights = (limit / np.maximum(found.z, limit)) ** 2
         change = np.abs(np.log(weights / found.state.weights)).max()
         if change < 0.02:
             return found
@@ -156,17 +157,26 @@ def _gauss_newton(problem: _Problem, state: State) -> Fit:
         if size < _STEP * spread:
             return current
         trial = _evaluate(problem, _moved(current, step))
-        if trial.chi2 < current.chi2 * (1.0 + 1e-12):
+        if _chi2_seen_from(current, trial) < current.chi2 * (1.0 + 1e-12):
             current, damping = trial, damping / 100 if damping > 1e-8 else 0.0
         elif size**2 < 1e-9 * current.chi2:
             return current  # what is left to gain is lost in rounding
         else:
             damping = max(100 * damping, 1e-10)
+    if size < _NEARLY * spread:
+        return current
     raise NoConvergence(
         f"{current.data.source}: the fit still moves by {size:.2g} sigma after {_MAX_STEPS} steps; check units, "
         "marker positions and joint conventions",
         current,
     )
+
+
+def _chi2_seen_from(current: Fit, trial: Fit) -> float:
+    """Sum of squares of a trial in the frame and under the covariance of the current state, which the step assumed."""
+    turn = current.state.base_T_measurement[:3, :3] @ trial.state.base_T_measurement[:3, :3].T
+    whitened = current.whitening.apply(trial.residual @ turn.T)
+    return float(whitened @ whitened)
 
 
 def _evaluate(problem: _Problem, state: State) -> Fit:

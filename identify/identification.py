@@ -12,6 +12,7 @@ from identify.arrays import Floats, Ints, frozen
 from identify.errors import NotIdentifiable
 from identify.experiment import Measurements
 from identify.fit import Fit, State, fit, rows_that_do_not_fit, start
+from identify.identifiability import why_not
 from identify.model import Model, model_of, respond
 from identify.selection import load_changes, rows_of_visits, take_rows
 from identify.study import Study
@@ -67,6 +68,8 @@ class Identification:
         data: The readings.
         fit: The fit of the parameters.
         values: (p,) all parameters in their units; frame values are those of ``base_T_measurement``.
+        kept: (m,) indices of the identified parameters; under ``differences`` frame and markers come from the
+            offsets of the visits.
         covariance: (p, p) of the values; zero rows for what was held at its nominal value.
         covariance_kind: ``stated noise`` or ``pose-clustered``.
         quantile: 97.5 % quantile that the intervals use.
@@ -81,6 +84,7 @@ class Identification:
     data: Measurements
     fit: Fit
     values: Floats
+    kept: Ints
     covariance: Floats
     covariance_kind: Literal["stated noise", "pose-clustered"]
     quantile: float
@@ -98,12 +102,8 @@ class Identification:
     @property
     def parameters(self) -> dict[str, float]:
         """Values of the identified parameters that are asked for, by name, in their units."""
-        kept = set(self.fit.identifiability.kept.tolist())
-        return {
-            parameter.name: float(self.values[index])
-            for index, parameter in enumerate(self.model.parameters)
-            if index in kept and not parameter.nuisance
-        }
+        asked = [index for index in self.kept if not self.model.parameters[index].nuisance]
+        return {self.model.names[index]: float(self.values[index]) for index in asked}
 
     @property
     def residuals(self) -> Floats:
@@ -145,25 +145,27 @@ def identify(study: Study, data: Measurements, *, seed: int = 0) -> Identificati
     found, reference, notes = _choose_reference(study, model, data)
     _check_enough(found)
     worst = rows_that_do_not_fit(found)
-    covariance, kind, quantile, p_value = _uncertainty(found, study)
+    covariance, kind, quantile, p_value = _uncertainty(found)
+    offsets, kept = _offsets_share(found, study)
     notes = (*notes, *_notes(found, kind, worst))
     heldout = _heldout(study, found, reference, worst, seed)
     values = found.state.values.copy()
     if model.frame_size:
         values[:6] = _frame_values(found.state.base_T_measurement)
     return Identification(
-        study,
-        data,
-        found,
-        frozen(values),
-        frozen(covariance),
-        kind,
-        quantile,
-        reference,
-        p_value,
-        worst,
-        heldout,
-        notes,
+        study=study,
+        data=data,
+        fit=found,
+        values=frozen(values),
+        kept=frozen(kept, np.int64),
+        covariance=frozen(covariance + offsets),
+        covariance_kind=kind,
+        quantile=quantile,
+        reference=reference,
+        p_value=p_value,
+        worst=worst,
+        heldout=heldout,
+        notes=notes,
     )
 
 
@@ -175,7 +177,7 @@ def _choose_reference(
     elastic = any(effect.yields for effect in model.effects)
     notes: tuple[str, ...] = ()
     wanted = study.reference
-    if wanted == "auto" and loaded and elastic and not study.robot.masses_known:
+    if wanted == "auto" and loaded and elastic and not study.robot.masses_known and _compares_loads(data):
         wanted = "differences"
         notes = ("link masses are unknown: only changes between loads are used (reference differences)",)
     if wanted == "differences":
@@ -188,6 +190,13 @@ def _choose_reference(
         return absolute, "absolute", notes
     note = "absolute readings contradict the model (geometry is not in it): only changes between loads are used"
     return _fit_differences(study, model, data, absolute.state), "differences", (note,)
+
+
+def _compares_loads(data: Measurements) -> bool:
+    """True if some marker is read more than once in one visit, so that changes exist."""
+    experiment = data.experiment
+    key = experiment.row_visit * len(experiment.markers.names) + experiment.row_marker
+    return len(np.unique(key)) < len(key)
 
 
 def _fit_differences(study: Study, model: Model, data: Measurements, state: State | None = None) -> Fit:
@@ -222,16 +231,21 @@ def _check_enough(found: Fit) -> None:
     """Refuse what cannot be concluded.
 
     Raises:
-        NotIdentifiable: Fewer whitened rows than unknowns, or nothing identifiable.
+        NotIdentifiable: Nothing that is asked for can be identified, or there are too few rows for it.
     """
-    rank, rows = found.identifiability.rank, len(found.columns)
-    names = tuple(found.model.names[d.column] for d in found.identifiability.dropped)
-    if rank == 0:
-        raise NotIdentifiable(f"{found.data.source}: no parameter can be identified from {rows} equations", names)
-    if rows <= rank:
+    model, known, rows = found.model, found.identifiability, len(found.columns)
+    dropped = [d for d in known.dropped if found.fitted[d.column]]
+    names = tuple(model.names[d.column] for d in dropped)
+    if rows <= known.rank and any(d.alike for d in dropped):
         raise NotIdentifiable(
-            f"{found.data.source}: {rows} independent equations for {rank} unknowns; measure more poses", names
+            f"{found.data.source}: {rows} independent equations are too few for {known.rank + len(dropped)} unknowns; "
+            "measure more poses or more loads at each pose",
+            names,
         )
+    asked = found.fitted & ~model.nuisance if model.effects else found.fitted
+    if not asked[known.kept].any():
+        reasons = "; ".join(f"{model.names[d.column]}: {why_not(model, d)}" for d in dropped[:8])
+        raise NotIdentifiable(f"{found.data.source}: no parameter can be identified ({reasons})", names)
 
 
 def _p_value(found: Fit) -> float:
@@ -240,7 +254,7 @@ def _p_value(found: Fit) -> float:
     return float(chi2.sf(found.chi2, max(found.dof, 1)))
 
 
-def _uncertainty(found: Fit, study: Study) -> tuple[Floats, Literal["stated noise", "pose-clustered"], float, float]:
+def _uncertainty(found: Fit) -> tuple[Floats, Literal["stated noise", "pose-clustered"], float, float]:
     """Covariance of all parameters, its kind, the quantile of the intervals and the fit's p value."""
     from scipy.stats import norm, t
 
@@ -253,16 +267,16 @@ def _uncertainty(found: Fit, study: Study) -> tuple[Floats, Literal["stated nois
         kind = "pose-clustered"
         covariance, clusters = visit_covariance(found)
         quantile = float(t.ppf(0.975, max(clusters - 1, 1)))
-    covariance = covariance + load_share(found)
-    if not found.fitted.all():
-        covariance = covariance + _nuisance_covariance(found, study)
-    return covariance, kind, quantile, p_value
+    return covariance + load_share(found), kind, quantile, p_value
 
 
-def _nuisance_covariance(found: Fit, study: Study) -> Floats:
-    """Frame and markers under ``differences``: from the visits' offsets, clustered by visit."""
-    placed = fit(found.model, found.data, study.noise, found.state, fitted=found.model.nuisance)
-    return visit_covariance(placed)[0]
+def _offsets_share(found: Fit, study: Study) -> tuple[Floats, Ints]:
+    """Covariance (p, p) and kept indices of frame and markers where the fit to changes left them out."""
+    if found.fitted.all():
+        return np.zeros((len(found.fitted),) * 2), found.identifiability.kept
+    placed = fit(found.model, found.data, study.noise, found.state, fitted=~found.fitted)
+    kept = np.union1d(found.identifiability.kept, placed.identifiability.kept)
+    return visit_covariance(placed)[0], kept
 
 
 def _notes(found: Fit, kind: str, worst: np.ndarray) -> tuple[str, ...]:
@@ -272,6 +286,8 @@ def _notes(found: Fit, kind: str, worst: np.ndarray) -> tuple[str, ...]:
             f"chi2 {found.chi2:.4g} with {found.dof} degrees of freedom rejects model or stated noise; "
             "intervals come from the scatter between poses"
         )
+    if found.data.quaternions is not None:
+        notes.append("orientations are not used; the fit rests on positions")
     if len(worst):
         notes.append(f"{len(worst)} rows do not fit and have little influence; see worst")
     return tuple(notes)

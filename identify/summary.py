@@ -25,7 +25,7 @@ __all__ = ["Fitted", "identification_json", "load_fitted", "predict"]
 def identification_json(result: Identification) -> dict[str, Any]:
     """The content of ``identify.json`` (without schema and provenance); lengths in mm."""
     found, data = result.fit, result.data
-    kept = found.identifiability.kept
+    kept = result.kept
     heldout = result.heldout
     return {
         "parameters": [_parameter(result, int(index)) for index in kept],
