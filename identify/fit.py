@@ -193,7 +193,8 @@ def _evaluate(problem: _Problem, state: State) -> Fit:
     spread = max(1.0, float(np.sqrt(whitened @ whitened / max(len(whitened), 1))))
     limits = np.array([parameter.limit for parameter in model.parameters])
     chosen = np.flatnonzero(free)
-    found = independent_columns(triangle([columns[:, chosen]]), limits[chosen], spread)
+    direct = columns if response.direct is response.derivative else operators.apply(response.direct)
+    found = independent_columns(triangle([direct[:, chosen]]), limits[chosen], spread)
     known = Identifiability(
         chosen[found.kept],
         tuple(

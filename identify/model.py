@@ -74,12 +74,15 @@ class Response:
         position: (R, 3) readings in the base frame (displaced by the frame parameters), m.
         deflection: (R, 3) the elastic and other displacement contained in it, m.
         derivative: (R, 3, p) m per unit of each parameter; (R, 3, 0) if not asked for.
+        direct: The same without the part that works through the deflection (geometry and markers bend it); rank is
+            decided on these columns, so that nothing counts as known through its second-order trace alone.
     """
 
     scene: Scene
     position: Floats
     deflection: Floats
     derivative: Floats
+    direct: Floats
 
 
 def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapping[str, float] | None = None) -> Model:
@@ -142,11 +145,14 @@ def respond(model: Model, experiment: Experiment, values: Floats, *, derivative:
     scene, deflection = _deflected(model, experiment, values)
     turn, shift = frame_displacement(model, values)
     position = (scene.point + deflection) @ turn.T + shift
-    columns = np.zeros((*position.shape, 0))
-    if derivative:
-        columns = _derivative(model, scene, position, values)
-        _add_bending(columns, model, experiment, values, deflection)
-    return Response(scene, position, deflection, columns)
+    if not derivative:
+        nothing = np.zeros((*position.shape, 0))
+        return Response(scene, position, deflection, nothing, nothing)
+    direct = _derivative(model, scene, scene.point @ turn.T + shift, values)
+    columns = _with_bending(direct, model, experiment, values, deflection) if deflection.any() else direct
+    if model.frame_size and columns is not direct:
+        columns[:, :, 3:6] = -MRAD * skew(position)
+    return Response(scene, position, deflection, columns, direct)
 
 
 def _deflected(model: Model, experiment: Experiment, values: Floats) -> tuple[Scene, Floats]:
@@ -164,13 +170,12 @@ def _deflected(model: Model, experiment: Experiment, values: Floats) -> tuple[Sc
     return scene, deflection
 
 
-def _add_bending(columns: Floats, model: Model, experiment: Experiment, values: Floats, deflection: Floats) -> None:
-    """How the deflection itself changes when geometry or markers move: the second-order part of their columns.
+def _with_bending(direct: Floats, model: Model, experiment: Experiment, values: Floats, deflection: Floats) -> Floats:
+    """Add how the deflection itself changes when geometry or markers move: the second-order part of their columns.
 
     By forward differences of a small term (a step of 1 um or 1 urad in a field of some mm).
     """
-    if not deflection.any():
-        return
+    columns = direct.copy()
     moved = [np.arange(model.frame_size + axis, model.frame_size + model.marker_size, 3) for axis in range(3)]
     moved = moved if model.marker_size else []
     for effect, where in zip(model.effects, model.effect_slices, strict=True):
@@ -185,6 +190,7 @@ def _add_bending(columns: Floats, model: Model, experiment: Experiment, values: 
         else:  # every row has its own marker
             rows = np.arange(len(change))
             columns[rows, :, index[experiment.row_marker]] += change
+    return columns
 
 
 def marker_positions(model: Model, experiment: Experiment, values: Floats) -> Floats:
