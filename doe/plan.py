@@ -116,7 +116,7 @@ def plan(study: Study, *, seed: int = 0) -> Plan:
     pool = build_pool(study, seed)
     count = study.plan.poses or _smallest(pool, seed)
     log.info("%d candidates, %d parameters; searching %d experiments", len(pool.blocks), pool.objective.size, count)
-    chosen, target, notes = _guarded_search(pool, count, seed)
+    chosen, limits, notes = _guarded_search(pool, count, seed)
     q = pool.candidates.q[pool.candidates.pose[chosen]]
     loads = pool.candidates.visit_loads[chosen]
     information = _information(pool.blocks[chosen])
@@ -125,7 +125,7 @@ def plan(study: Study, *, seed: int = 0) -> Plan:
     final, refinement = grid, None
     if study.plan.refine:
         log.info("refining the joint angles of %d experiments", count)
-        refinement = _refine(pool, q, loads, target)
+        refinement = _refine(pool, q, loads, limits)
         refined = rounded(study, refinement.q)
         own = pool.observer.blocks(refined, loads)[:, :, pool.known.kept]
         better = aim.value(_information(own))
@@ -135,8 +135,8 @@ def plan(study: Study, *, seed: int = 0) -> Plan:
     return Plan(pool, q, loads, grid, final, information, refinement, notes)
 
 
-def _refine(pool: Pool, q: Floats, loads: Ints, target: Floats) -> Refinement:
-    """Move the joint angles within limits and floor; self-collision is checked where they arrive."""
+def _refine(pool: Pool, q: Floats, loads: Ints, limits: Floats | None) -> Refinement:
+    """Move the joint angles within limits, floor and the parameters' limits; self-collision is checked on arrival."""
     study = pool.observer.study
     lower, upper = joint_range(study)
     return refine(
@@ -144,11 +144,12 @@ def _refine(pool: Pool, q: Floats, loads: Ints, target: Floats) -> Refinement:
         q,
         loads,
         pool.known.kept,
-        target,
+        pool.objective.target(),
         criterion=pool.objective.criterion,
         lower=lower,
         upper=upper,
         floor=study.constraints.floor,
+        max_std=limits,
         allowed=lambda moved: check(study, rounded(study, moved), loads).ok,
     )
 
@@ -264,24 +265,24 @@ def _search(pool: Pool, target: Floats, count: int, seed: int, *, criterion: str
     return np.repeat(np.arange(len(found.counts)), found.counts)
 
 
-def _guarded_search(pool: Pool, count: int, seed: int) -> tuple[Ints, Floats, tuple[str, ...]]:
+def _guarded_search(pool: Pool, count: int, seed: int) -> tuple[Ints, Floats | None, tuple[str, ...]]:
     """Search; where the plan sees little but the test poses, weigh the parameters' own variances in.
 
     Returns:
-        Chosen candidates, the target they minimise, and notes.
+        Chosen candidates, the largest standard deviations allowed (p,) or None, and notes.
     """
     aim = pool.objective
     study = pool.observer.study
     chosen = _search(pool, aim.target(), count, seed, criterion=aim.criterion)
     if aim.criterion not in {"test_pose", "G"}:
-        return chosen, aim.target(), ()
+        return chosen, None, ()
     best = standard_deviations(
         _information(pool.blocks[_search(pool, np.eye(aim.size), count, seed, criterion="A", effort="low")])
     )
     limit = study.plan.max_std_percent / 100.0
     ratio = _worst_ratio(pool, chosen, best)
     if ratio.max() <= limit:
-        return chosen, aim.target(), ()
+        return chosen, limit * best, ()
     names = [pool.observer.model.names[index] for index in pool.known.kept]
     worst = int(np.argmax(ratio))
     unguarded = aim.value(_information(pool.blocks[chosen]))
@@ -301,7 +302,7 @@ def _guarded_search(pool: Pool, count: int, seed: int) -> tuple[Ints, Floats, tu
                 f"the best plan for the test poses alone would tell {names[worst]} {seen}; "
                 f"max_std_percent = {study.plan.max_std_percent:g} {cost}"
             )
-            return chosen, target, (note,)
+            return chosen, limit * best, (note,)
         share *= 8.0
     raise Infeasible(
         f"{study.path}: [plan] max_std_percent = {study.plan.max_std_percent:g} cannot be met with {count} poses: "

@@ -1,0 +1,113 @@
+"""Streaming access to the candidate blocks: read in chunks, never changed, never copied whole."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identify.arrays import Floats, Ints
+from identify.errors import InputError
+
+__all__ = ["Blocks", "sensitivities"]
+
+CHUNK = 1 << 17  # numbers per chunk: 1 MB of float64 stays in a core's cache
+
+
+class Blocks:
+    """The whitened observation rows ``A_i`` (k, p) of N candidates.
+
+    Attributes:
+        array: (N, k, p) as given by the caller, any float dtype, possibly read-only or memory-mapped.
+        peak: (p,) largest absolute value in each column.
+        eps: Rounding unit of the numbers as they were stored.
+    """
+
+    def __init__(self, blocks: Any) -> None:
+        """Check shape and values in one pass.
+
+        Raises:
+            InputError: ``blocks`` is not a real (N, k, p) array with N, k, p >= 1, or holds NaN or infinity.
+        """
+        array = blocks if isinstance(blocks, np.ndarray) else np.asarray(blocks)
+        if array.ndim != 3 or 0 in array.shape:
+            raise InputError(f"blocks have shape {array.shape}, needed: (N, k, p) with N, k, p >= 1")
+        if array.dtype.kind not in "fiu":
+            raise InputError(f"blocks have dtype {array.dtype}, needed: real numbers, for example float64")
+        self.array: NDArray[Any] = array
+        stored = np.finfo(array.dtype).eps if array.dtype.kind == "f" else 0.0
+        self.eps = max(float(stored), float(np.finfo(np.float64).eps))
+        self.peak = self._peak()
+
+    def __len__(self) -> int:
+        """Number of candidates N."""
+        return int(self.array.shape[0])
+
+    @property
+    def k(self) -> int:
+        """Rows of one block."""
+        return int(self.array.shape[1])
+
+    @property
+    def p(self) -> int:
+        """Number of parameters."""
+        return int(self.array.shape[2])
+
+    def chunks(self) -> Iterator[tuple[slice, Floats]]:
+        """Candidates and their rows ((m k), p) in float64, some at a time."""
+        step = max(1, CHUNK // (self.k * self.p))
+        for start in range(0, len(self), step):
+            part = slice(start, min(start + step, len(self)))
+            yield part, np.ascontiguousarray(self.array[part], dtype=np.float64).reshape(-1, self.p)
+
+    def take(self, index: Ints, basis: Floats) -> Floats:
+        """Blocks of some candidates in new coordinates: ``A_i @ basis``, (m, k, q)."""
+        rows = np.ascontiguousarray(self.array[index], dtype=np.float64).reshape(-1, self.p)
+        product: Floats = rows @ basis
+        return product.reshape(len(index), self.k, basis.shape[1])
+
+    def gram(self, basis: Floats) -> Floats:
+        """Sum over all candidates of ``(A_i basis)' (A_i basis)``, (q, q)."""
+        total = np.zeros((basis.shape[1], basis.shape[1]))
+        for _, rows in self.chunks():
+            turned = rows @ basis
+            total += turned.T @ turned
+        return total
+
+    def sensitivities(self, factor: Floats) -> Floats:
+        """``d_i = |A_i factor|^2`` of all candidates, (N,), for ``factor`` (p, q)."""
+        result = np.empty(len(self))
+        for part, rows in self.chunks():
+            result[part] = _squares(rows @ factor, self.k)
+        return result
+
+    def _peak(self) -> Floats:
+        """Largest absolute value of each column; NaN and infinity are refused."""
+        peak = np.zeros(self.p)
+        for part, rows in self.chunks():
+            # max and min hand NaN on, so no boolean copy of the chunk is needed
+            here = np.maximum(rows.max(axis=0), -rows.min(axis=0))
+            if not np.isfinite(here).all():
+                self._refuse(part.start, rows)
+            peak = np.maximum(peak, here)
+        return peak
+
+    def _refuse(self, start: int, rows: Floats) -> None:
+        """Name the first entry that is not finite."""
+        row, column = np.argwhere(~np.isfinite(rows))[0]
+        where = (start + row // self.k, row % self.k, column)
+        raise InputError(f"blocks[{where[0]}, {where[1]}, {where[2]}] is {rows[row, column]}, needed: finite numbers")
+
+
+def sensitivities(blocks: Floats, factor: Floats) -> Floats:
+    """``d_i = |A_i factor|^2`` of blocks (m, k, p) held in memory, (m,)."""
+    return _squares(blocks.reshape(-1, blocks.shape[2]) @ factor, blocks.shape[1])
+
+
+def _squares(rows: Floats, k: int) -> Floats:
+    """Sums of squares over groups of k rows."""
+    grouped = rows.reshape(-1, k * rows.shape[1])
+    result: Floats = np.einsum("ij,ij->i", grouped, grouped)
+    return result

@@ -1,0 +1,439 @@
+"""The observation block of one visit as a CasADi expression of its joint values, for exact derivatives.
+
+The formulas are those of `identify`: the chain of `identify.kinematics`, the springs of
+`identify.springs`, the columns of the effects and the operators of `identify.noise` for regular visits
+(every shot reads all markers). With Helmert contrasts h over the L shots and columns that split into a
+part S that all shots share and a part V_s of each shot, the whitened block is
+
+    B^-1/2 sum_s h_rs V_s                              for each contrast r
+    (B + L J L_pose J')^-1/2 (sqrt(L) S + sum_s V_s / sqrt(L))      for the mean (``absolute`` only)
+
+Where nominal compliances are not zero the deflection changes with geometry and markers. `identify.model` takes
+this part of their columns by differences; here it is a derivative too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import helmert
+
+from doe.observations import Observer
+from identify.arrays import Floats, Ints
+from identify.effects import Effect
+from identify.experiment import full_experiment
+from identify.loads import LoadCase
+from identify.model import frame_displacement, marker_positions
+from identify.robot import Robot
+from identify.study import Noise
+from identify.units import MM, MRAD
+
+__all__ = ["Chain", "block_function", "chain", "heights_function", "load_table", "missing_columns"]
+
+SX = Any  # CasADi is not typed
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Placements of one robot in one pose, base frame, m.
+
+    Attributes:
+        robot: The robot.
+        rotation: n (3, 3) joint frames before the joint moves; column 2 is the joint axis.
+        origin: n (3, 1) their origins.
+        centre: n (3, 1) centres of mass of the moved links (frame origin where unknown).
+        flange_rotation: (3, 3).
+        flange_origin: (3, 1).
+    """
+
+    robot: Robot
+    rotation: tuple[SX, ...]
+    origin: tuple[SX, ...]
+    centre: tuple[SX, ...]
+    flange_rotation: SX
+    flange_origin: SX
+
+    def point(self, local: Any) -> SX:
+        """A point (3,) of the flange frame in the base frame, (3, 1)."""
+        return self.flange_origin + self.flange_rotation @ local
+
+
+def chain(robot: Robot, q: SX, placements: list[SX] | None = None) -> Chain:
+    """Forward kinematics of ``robot`` for symbolic joint values ``q`` (n, 1).
+
+    Args:
+        robot: The robot.
+        q: Its joint values, rad or m.
+        placements: n + 1 placements (4, 4) in place of the robot's.
+    """
+    centres = np.where(np.isfinite(robot.centres), robot.centres, 0.0)
+    rotation, origin = ca.SX.eye(3), ca.SX.zeros(3)
+    rotations, origins, moved = [], [], []
+    for i, placement in enumerate(placements or map(ca.SX, robot.placements)):
+        origin = origin + rotation @ placement[:3, 3]
+        rotation = rotation @ placement[:3, :3]
+        if i == robot.n:
+            break
+        rotations.append(rotation)
+        origins.append(origin)
+        if robot.prismatic[i]:
+            origin = origin + rotation[:, 2] * q[i]
+        else:
+            c, s, x, y = ca.cos(q[i]), ca.sin(q[i]), rotation[:, 0], rotation[:, 1]
+            rotation = ca.horzcat(c * x + s * y, c * y - s * x, rotation[:, 2])
+        moved.append(origin + rotation @ ca.SX(centres[i]))
+    return Chain(robot, tuple(rotations), tuple(origins), tuple(moved), rotation, origin)
+
+
+def load_table(robot: Robot, loads: tuple[LoadCase, ...]) -> Floats:
+    """Numbers of each load that the symbolic torque needs, (loads, 15).
+
+    Returns:
+        Attach point (flange frame, m), then force (N) and moment (Nm) fixed in the base frame, then
+        force and moment that turn with the flange.
+    """
+    rows = np.zeros((len(loads), 15))
+    for row, load in zip(rows, loads, strict=True):
+        turn = np.eye(3) if load.in_flange else robot.world_R_base.T
+        start = 9 if load.in_flange else 3
+        row[:3] = load.attach
+        row[start : start + 3] = turn @ load.force
+        row[start + 3 : start + 6] = turn @ load.moment
+        row[3:6] += load.mass * robot.gravity_base
+    return rows
+
+
+def _motion(arm: Chain, point: SX) -> SX:
+    """``D``: motion of a point per unit of each joint, (3, n)."""
+    columns = [
+        rotation[:, 2] if slides else ca.cross(rotation[:, 2], point - origin)
+        for rotation, origin, slides in zip(arm.rotation, arm.origin, arm.robot.prismatic, strict=True)
+    ]
+    return ca.horzcat(*columns)
+
+
+def _load_torque(arm: Chain, load: SX) -> SX:
+    """``t``: torque or force of one row of `load_table` on each joint, (n, 1)."""
+    turn = arm.flange_rotation
+    force, moment = load[3:6] + turn @ load[9:12], load[6:9] + turn @ load[12:15]
+    return _motion(arm, arm.point(load[:3])).T @ force + _turning(arm).T @ moment
+
+
+def _turning(arm: Chain) -> SX:
+    """Axes of the turning joints, zero for sliding ones, (3, n)."""
+    zero = ca.SX(3, 1)
+    pairs = zip(arm.rotation, arm.robot.prismatic, strict=True)
+    return ca.horzcat(*(zero if slides else rotation[:, 2] for rotation, slides in pairs))
+
+
+def _weight_torque(arm: Chain) -> SX:
+    """Torque or force of the weight of links and tool on each joint, (n, 1)."""
+    robot = arm.robot
+    masses = np.where(np.isfinite(robot.masses), robot.masses, 0.0)
+    carried, moment = ca.SX(robot.tool_mass), robot.tool_mass * arm.point(ca.SX(robot.tool_centre))
+    gravity = ca.SX(robot.gravity_base)
+    torques = []
+    for i in reversed(range(robot.n)):
+        carried, moment = carried + masses[i], moment + masses[i] * arm.centre[i]
+        axis, lever = arm.rotation[i][:, 2], moment - carried * arm.origin[i]
+        torques.append(ca.dot(axis, carried * gravity if robot.prismatic[i] else ca.cross(lever, gravity)))
+    return ca.vertcat(*reversed(torques))
+
+
+# --- columns of the model --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Visit:
+    """One pose with all its fields, symbolic.
+
+    Attributes:
+        robot: The nominal robot.
+        arm: The chain of the robot as adjusted by the effects' nominal values.
+        on_base: (M,) True for markers that do not move.
+        points: M (3, 1) markers.
+        motion: (3 M, n) their motion per unit of each joint.
+        weight: (n, 1) torque of the self-weight, in every shot.
+        torque: (n, L) torque of the load of each shot.
+    """
+
+    robot: Robot
+    arm: Chain
+    on_base: np.ndarray
+    points: list[SX]
+    motion: SX
+    weight: SX
+    torque: SX
+
+
+Columns = tuple[SX, list[SX]]  # what all shots share, (3 M, p), and what each of the L shots adds; [] for nothing
+
+
+def _compliance_columns(visit: _Visit, effect: Effect, values: Floats) -> Columns:
+    """``D_j t_j`` for each spring; its joint is read from the parameter's name."""
+    index = [int(parameter.name.rpartition(".j")[2]) - 1 for parameter in effect.parameters]
+    scale = np.array([parameter.scale for parameter in effect.parameters])
+    motion = visit.motion[:, index]
+    torques = [visit.weight, *ca.horzsplit(visit.torque)]
+    shared, *own = (motion @ ca.diag(scale * torque[index]) for torque in torques)
+    return shared, own
+
+
+def _geometry_columns(visit: _Visit, effect: Effect, values: Floats) -> Columns:
+    """Each parameter is a screw that stands still in the frame which it displaces."""
+    screws = [_screw(effect, visit.robot, values, column) for column in range(len(values))]
+    return ca.horzcat(*(_screw_motion(visit, frame, screw) for frame, screw in screws)), []
+
+
+#: Name of an effect -> its columns. An effect that is not here cannot be refined.
+COLUMNS: dict[str, Callable[[_Visit, Effect, Floats], Columns]] = {
+    "joint_compliance": _compliance_columns,
+    "geometry": _geometry_columns,
+}
+
+
+def missing_columns(observer: Observer) -> tuple[str, ...]:
+    """Names of the observer's effects that have no symbolic columns."""
+    return tuple(effect.name for effect in observer.model.effects if effect.name not in COLUMNS)
+
+
+def _screw(effect: Effect, robot: Robot, values: Floats, column: int) -> tuple[int, Floats]:
+    """Number of the frame that a geometric parameter displaces, and its screw (4, 4) per unit of the parameter.
+
+    The displacement is a product of exponentials, so a step of any size gives the screw exactly.
+    """
+    assert effect.adjust is not None
+    scale = effect.parameters[column].scale
+    step = np.zeros(len(values))
+    step[column] = 1.0 / scale  # 1 m or 1 rad
+    before, after = effect.adjust(robot, values).placements, effect.adjust(robot, values + step).placements
+    frame = int(np.argmax(np.abs(after - before).max(axis=(1, 2))))
+    screw = _logarithm(np.linalg.solve(before[frame], after[frame]))
+    screw[np.abs(screw) < 1e-14] = 0.0
+    return frame, scale * screw
+
+
+def _logarithm(motion: Floats) -> Floats:
+    """The screw (4, 4) whose exponential is a motion (4, 4) by less than half a turn."""
+    turn = 0.5 * (motion[:3, :3] - motion[:3, :3].T)
+    sine = float(np.sqrt(0.5 * np.sum(turn * turn)))
+    angle = float(np.arctan2(sine, 0.5 * (np.trace(motion[:3, :3]) - 1.0)))
+    screw = np.zeros((4, 4))
+    if sine < 1e-12:
+        screw[:3, 3] = motion[:3, 3]
+        return screw
+    turn = turn / sine
+    along = np.eye(3) * angle + (1.0 - np.cos(angle)) * turn + (angle - sine) * turn @ turn
+    screw[:3, :3], screw[:3, 3] = angle * turn, angle * np.linalg.solve(along, motion[:3, 3])
+    return screw
+
+
+def _screw_motion(visit: _Visit, frame: int, screw: Floats) -> SX:
+    """Motion of all markers by a screw of one frame, (3 M, 1)."""
+    arm = visit.arm
+    last = frame == arm.robot.n
+    rotation = arm.flange_rotation if last else arm.rotation[frame]
+    origin = arm.flange_origin if last else arm.origin[frame]
+    shift, turn = rotation @ _vector(screw[:3, 3]), rotation @ _vector(screw[[2, 0, 1], [1, 2, 0]])
+    moves = [shift + ca.cross(turn, point - origin) for point in visit.points]
+    return ca.vertcat(*(ca.SX(3, 1) if fixed else move for move, fixed in zip(moves, visit.on_base, strict=True)))
+
+
+def _frame_columns(visit: _Visit, deflection: Columns, turn: Floats, shift: Floats) -> Columns:
+    """Displacement of the base: translation, then rotation about the base origin."""
+    shared, own = deflection
+    turned = ca.diagcat(*[ca.SX(turn)] * len(visit.points))
+    position = turned @ (ca.vertcat(*visit.points) + shared) + ca.repmat(_vector(shift), len(visit.points), 1)
+    ahead = ca.repmat(MM * ca.SX.eye(3), len(visit.points), 1)
+    none = ca.SX(*ahead.shape)
+    return ca.horzcat(ahead, _turned(position)), [ca.horzcat(none, _turned(turned @ part)) for part in own]
+
+
+def _turned(position: SX) -> SX:
+    """Motion (3 M, 3) of points (3 M, 1) per mrad about the base axes."""
+    return ca.vertcat(*(-MRAD * ca.skew(point) for point in ca.vertsplit(position, 3)))
+
+
+def _marker_columns(visit: _Visit) -> Columns:
+    """Each marker moves by its own correction, turned by the flange (or not, on the base)."""
+    turns = [ca.SX.eye(3) if fixed else visit.arm.flange_rotation for fixed in visit.on_base]
+    return MM * ca.diagcat(*turns), []
+
+
+def _model_columns(observer: Observer, q: SX, loads: SX, visit: _Visit) -> Columns:
+    """All columns of the model: frame, markers, effects."""
+    model, shots = observer.model, visit.torque.shape[1]
+    parts = []
+    if model.frame_size:
+        displaced = frame_displacement(model, model.nominal)
+        parts.append(_frame_columns(visit, _deflection(observer, visit), *displaced))
+    if model.marker_size:
+        parts.append(_marker_columns(visit))
+    for effect, where in zip(model.effects, model.effect_slices, strict=True):
+        parts.append(COLUMNS[effect.name](visit, effect, model.nominal[where]))
+    return _add(_beside(parts, shots), _bending(observer, q, loads))
+
+
+def _deflection(observer: Observer, visit: _Visit) -> Columns:
+    """Displacement of all markers by the effects at their nominal values; all effects of the table are linear."""
+    model, rows = observer.model, 3 * len(visit.points)
+    total: Columns = ca.SX(rows, 1), [ca.SX(rows, 1)] * visit.torque.shape[1]
+    for effect, where in zip(model.effects, model.effect_slices, strict=True):
+        values = model.nominal[where]
+        if effect.adjust is None and values.any():
+            shared, own = COLUMNS[effect.name](visit, effect, values)
+            total = _add(total, (shared @ values, [part @ values for part in own]))
+    return total
+
+
+def _bending(observer: Observer, q: SX, loads: SX) -> Columns:
+    """How the deflection changes with markers and geometry."""
+    model = observer.model
+    pairs = zip(model.effects, model.effect_slices, strict=True)
+    if not any(model.nominal[where].any() for effect, where in pairs if effect.adjust is None):
+        return ca.SX(3 * len(observer.study.markers.names), len(model.parameters)), []
+    changes = ca.SX.sym("changes", len(model.parameters))
+    shared, own = _deflection(observer, _visit(observer, q, loads, changes))
+    none = ca.SX.zeros(changes.shape)
+    shared, *own = (ca.substitute(ca.jacobian(part, changes), changes, none) for part in (shared, *own))
+    return shared, own
+
+
+def _add(left: Columns, right: Columns) -> Columns:
+    """Sum of two sets of columns, the left one with a part of every shot."""
+    own = right[1] or [0.0] * len(left[1])
+    return left[0] + right[0], [a + b for a, b in zip(left[1], own, strict=True)]
+
+
+def _beside(parts: list[Columns], shots: int) -> Columns:
+    """Columns next to each other."""
+    shared = ca.horzcat(*(part[0] for part in parts))
+    own = [ca.horzcat(*(part[1][s] if part[1] else ca.SX(*part[0].shape) for part in parts)) for s in range(shots)]
+    return shared, own
+
+
+# --- whitening -------------------------------------------------------------------------------------------------------
+
+
+def block_function(observer: Observer, shots: int, kept: Ints) -> Any:
+    """The transposed whitened block of one visit as a CasADi function.
+
+    Args:
+        observer: What turns poses into blocks.
+        shots: Number L of shots of a visit.
+        kept: (p,) columns of the model to keep.
+
+    Returns:
+        ``(q (n, 1), loads (15, L)) -> (p, k)``, with ``loads`` columns of `load_table`. It equals
+        ``observer.blocks`` up to the differences taken there, see the module.
+    """
+    robot, noise = observer.model.robot, observer.study.noise
+    q, loads = ca.SX.sym("q", robot.n), ca.SX.sym("loads", 15, shots)
+    visit = _visit(observer, q, loads)
+    shared, own = _model_columns(observer, q, loads, visit)
+    columns = [part[:, kept.tolist()] for part in own]
+    jolt = visit.motion @ visit.motion.T
+    spread = _instrument(noise, visit.points) + noise.reading_jitter**2 * jolt
+    weights = np.vstack([helmert(shots) if shots > 1 else np.zeros((0, 1)), np.full((1, shots), shots**-0.5)])
+    mixed = [sum((w * part for w, part in zip(row, columns, strict=True)), ca.SX(*columns[0].shape)) for row in weights]
+    blocks = [_whitened(spread, part) for part in mixed[:-1]]
+    if observer.reference == "absolute":
+        mean = mixed[-1] + np.sqrt(shots) * shared[:, kept.tolist()]
+        blocks.append(_whitened(spread + shots * noise.pose_jitter**2 * jolt, mean))
+    return ca.Function("block", [q, loads], [ca.densify(ca.vertcat(*blocks).T)], {"cse": True})
+
+
+def _visit(observer: Observer, q: SX, loads: SX, changes: SX | None = None) -> _Visit:
+    """All fields of one visit; ``changes`` (p, 1) are small changes of the parameters of markers and geometry."""
+    model, markers = observer.model, observer.study.markers
+    robot = _adjusted(observer)
+    changes = ca.SX(len(model.parameters), 1) if changes is None else changes
+    arm = chain(robot, q, _displaced(observer, robot, changes))
+    no_load = np.zeros((1, 1), dtype=np.int64)
+    experiment = full_experiment(np.zeros((1, robot.n)), no_load, observer.study.loads, markers)
+    local = ca.SX(marker_positions(model, experiment, model.nominal).T)
+    if model.marker_size:
+        local += MM * ca.reshape(changes[model.frame_size : model.frame_size + model.marker_size], 3, -1)
+    fixed = markers.on_base
+    points = [p if f else arm.point(p) for p, f in zip(ca.horzsplit(ca.sparsify(local)), fixed, strict=True)]
+    moves = [ca.SX(3, robot.n) if f else _motion(arm, p) for p, f in zip(points, fixed, strict=True)]
+    weight = _weight_torque(arm) if model.self_weight else ca.SX(robot.n, 1)
+    torque = ca.horzcat(*(_load_torque(arm, load) for load in ca.horzsplit(loads)))
+    return _Visit(model.robot, arm, fixed, points, ca.vertcat(*moves), weight, torque)
+
+
+def _displaced(observer: Observer, robot: Robot, changes: SX) -> list[SX]:
+    """The placements of the adjusted robot after small changes of the parameters that displace them."""
+    model = observer.model
+    placements = [ca.SX(placement) for placement in robot.placements]
+    for effect, where in zip(model.effects, model.effect_slices, strict=True):
+        if effect.adjust is None or changes.nnz() == 0:
+            continue
+        for column in range(where.stop - where.start):
+            frame, screw = _screw(effect, model.robot, model.nominal[where], column)
+            placements[frame] += ca.SX(robot.placements[frame] @ screw) * changes[where.start + column]
+    return placements
+
+
+def _adjusted(observer: Observer) -> Robot:
+    """The robot with the nominal values of the effects that change it."""
+    model = observer.model
+    robot = model.robot
+    for effect, where in zip(model.effects, model.effect_slices, strict=True):
+        if effect.adjust is not None:
+            robot = effect.adjust(robot, model.nominal[where])
+    return robot
+
+
+def _instrument(noise: Noise, points: list[SX]) -> SX:
+    """Covariance of one shot's readings, (3 M, 3 M), m^2; see `identify.noise.instrument_covariance`."""
+    tracker = noise.tracker
+    if tracker is None:
+        return noise.reading**2 * ca.SX.eye(3 * len(points))
+    assert tracker.station is not None  # the observer has refused it before
+    parts = []
+    for point in points:
+        beam = point - ca.SX(tracker.station)
+        distance = ca.norm_2(beam)
+        across = (tracker.transverse + tracker.transverse_per_m * distance) ** 2
+        along = (tracker.radial + tracker.radial_per_m * distance) ** 2
+        outer = beam @ beam.T / distance**2
+        parts.append(across * (ca.SX.eye(3) - outer) + along * outer)
+    return ca.diagcat(*parts)
+
+
+def _whitened(covariance: SX, rows: SX) -> SX:
+    """``L^-1 rows`` with ``covariance = L L'``."""
+    return ca.solve(ca.chol(covariance).T, rows)
+
+
+def _vector(values: Floats) -> SX:
+    """A constant column; zeros become structural."""
+    return ca.sparsify(ca.SX(values))
+
+
+# --- heights ---------------------------------------------------------------------------------------------------------
+
+
+def heights_function(robot: Robot, joints: Ints, points: int) -> Any:
+    """World heights of joint origins and of points of the flange, from the base origin, m.
+
+    Args:
+        robot: The robot.
+        joints: (J,) joints whose origin counts.
+        points: Number P of points of the flange.
+
+    Returns:
+        ``(q (n, 1), local (3, P)) -> (J + P, 1)``, with ``local`` in the flange frame, m; the same as
+        `doe.feasible.FloorPoints.heights`.
+    """
+    q, local = ca.SX.sym("q", robot.n), ca.SX.sym("local", 3, points)
+    arm = chain(robot, q)
+    moving = [*(arm.origin[joint] for joint in joints), *(arm.point(point) for point in ca.horzsplit(local))]
+    up = _vector(robot.world_R_base[2])
+    heights = ca.vertcat(*(ca.dot(up, point) for point in moving))
+    return ca.Function("heights", [q, local], [ca.densify(heights)], {"cse": True})
