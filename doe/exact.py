@@ -39,8 +39,9 @@ class Effort:
     sweep: bool
 
 
-EFFORTS = {"low": Effort(0, 0, False), "normal": Effort(30, 300, True), "high": Effort(300, 3000, True)}
-NARROW, BROAD = 500, 2500  # candidates in the pools of the iterated search and of the exchange
+EFFORTS = {"low": Effort(0, 0, False), "normal": Effort(60, 300, True), "high": Effort(300, 3000, True)}
+NARROW, BROAD = 250, 2500  # candidates in the pools of the iterated search and of the exchange
+LONG = 30  # experiments; longer plans get fewer rounds of search
 SWEEPS = 5  # over all candidates at the end; one or two are usual
 
 
@@ -225,7 +226,8 @@ def _iterated(problem: Problem, found: Found, wide: Pool, plan: Plan, effort: Ef
     chosen = wide.index[list(plan.members)]
     index = np.union1d(_worth_scoring(problem, found, wide.limits, NARROW), chosen)
     narrow = make_pool(problem, wide.base, index, wide.limits)
-    best = iterate(narrow, narrow.plan(narrow.find(chosen)), effort.rounds, rng)
+    rounds = -(-effort.rounds * LONG // max(LONG, len(chosen)))  # long plans: dearer rounds, less to gain
+    best = iterate(narrow, narrow.plan(narrow.find(chosen)), rounds, rng)
     better = narrow.index[list(best.members)]
     return exchange(wide, wide.plan(wide.find(better)))
 

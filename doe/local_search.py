@@ -207,7 +207,7 @@ def _spoilt(pool: Pool, plan: Plan, rng: np.random.Generator) -> Plan | None:
     """Take a few random experiments out and put random ones in; None for an empty plan."""
     if not plan.members:
         return None
-    some = min(len(plan.members), int(rng.integers(1, 4)))
+    some = min(len(plan.members), int(rng.integers(2, 5)))
     out = set(rng.choice(len(plan.members), some, replace=False).tolist())
     members = [j for i, j in enumerate(plan.members) if i not in out]
     for _ in range(some):

@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import math
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from doe.accuracy import accuracy, jitter_covariance, radius
-from doe.approximate import approximate_design
+from doe.approximate import ApproximateDesign, approximate_design
 from doe.candidates import Candidates, candidates, rounded
 from doe.exact import exact_design
 from doe.feasible import check, joint_range
@@ -18,7 +19,7 @@ from doe.objective import Objective, objective
 from doe.observations import Observer, identifiable, keep_columns, observer, target_rows
 from doe.refine import Refinement, refine
 from identify.arrays import Floats, Ints
-from identify.errors import Infeasible
+from identify.errors import Infeasible, NoConvergence, NotIdentifiable
 from identify.identifiability import Identifiability
 from identify.study import Study
 from identify.units import MM
@@ -27,6 +28,8 @@ __all__ = ["Bound", "Plan", "Pool", "bound_of", "build_pool", "plan"]
 
 _GUARD_ROUNDS = 12
 _MOST = 2000  # experiments
+_USUAL_PERCENT = 300.0  # the default of max_std_percent; beyond it a plan says what it does not see
+_SINGULAR = 1e-15  # smallest over largest eigenvalue on unit columns
 
 log = logging.getLogger("elastocal")
 
@@ -114,25 +117,60 @@ def plan(study: Study, *, seed: int = 0) -> Plan:
         Infeasible: No candidate keeps to the constraints, or no plan meets the tolerance.
     """
     pool = build_pool(study, seed)
-    count = study.plan.poses or _smallest(pool, seed)
-    log.info("%d candidates, %d parameters; searching %d experiments", len(pool.blocks), pool.objective.size, count)
-    chosen, limits, notes = _guarded_search(pool, count, seed)
-    q = pool.candidates.q[pool.candidates.pose[chosen]]
-    loads = pool.candidates.visit_loads[chosen]
-    information = _information(pool.blocks[chosen])
     aim, repeats = pool.objective, study.plan.repeats
-    grid = bound_of(aim, count, pool.blocks, pool.blocks[:0], aim.value(information), repeats=repeats)
-    final, refinement = grid, None
+    choice = _sufficient(pool, seed) if study.plan.poses is None else _choose(pool, study.plan.poses, seed)
+    count, none = len(choice.q), pool.blocks[:0]
+    grid = bound_of(aim, count, pool.blocks, none, aim.value(_information(choice.grid)), repeats=repeats)
+    information = _information(choice.own)
+    final = grid
+    if choice.own is not choice.grid:
+        final = bound_of(aim, count, pool.blocks, choice.own, aim.value(information), repeats=repeats)
+    return Plan(pool, choice.q, choice.visit_loads, grid, final, information, choice.refinement, choice.notes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """A plan that nothing is proven about yet.
+
+    Attributes:
+        q: (n, joints) joint values, rad or m.
+        visit_loads: (n, L) loads.
+        grid: (n, k, p) blocks before refinement.
+        own: (n, k, p) blocks of the plan; ``grid`` itself if refinement gained nothing.
+        refinement: What the refinement did, or None.
+        notes: What the user should know.
+    """
+
+    q: Floats
+    visit_loads: Ints
+    grid: Floats
+    own: Floats
+    refinement: Refinement | None
+    notes: tuple[str, ...]
+
+
+def _choose(pool: Pool, count: int, seed: int) -> _Choice:
+    """Search ``count`` experiments on the grid and refine them."""
+    study, aim = pool.observer.study, pool.objective
+    log.info("%d candidates, %d parameters; searching %d experiments", len(pool.blocks), aim.size, count)
+    chosen, best, notes = _guarded_search(pool, count, seed)
+    most = None if best is None else study.plan.max_std_percent / 100.0 * best
+    q, loads = pool.candidates.visit_q[chosen], pool.candidates.visit_loads[chosen]
+    grid = own = pool.blocks[chosen]
+    refinement = None
     if study.plan.refine:
         log.info("refining the joint angles of %d experiments", count)
-        refinement = _refine(pool, q, loads, limits)
-        refined = rounded(study, refinement.q)
-        own = pool.observer.blocks(refined, loads)[:, :, pool.known.kept]
-        better = aim.value(_information(own))
-        if better < grid.value:
-            q, information = refined, _information(own)
-            final = bound_of(aim, count, pool.blocks, own, better, repeats=repeats)
-    return Plan(pool, q, loads, grid, final, information, refinement, notes)
+        for limit in (None, most):  # most plans keep the limit without being told
+            refinement = _refine(pool, q, loads, limit)
+            refined = rounded(study, refinement.q)
+            moved = pool.observer.blocks(refined, loads)[:, :, pool.known.kept]
+            if most is None or (standard_deviations(_information(moved)) <= most * (1.0 + 1e-6)).all():
+                break
+        if aim.value(_information(moved)) < aim.value(_information(grid)):
+            q, own = refined, moved
+    if best is not None:
+        notes = (*notes, *_blind_spot(pool, own, best))
+    return _Choice(q, loads, grid, own, refinement, notes)
 
 
 def _refine(pool: Pool, q: Floats, loads: Ints, limits: Floats | None) -> Refinement:
@@ -182,7 +220,12 @@ def bound_of(aim: Objective, count: int, pool: Floats, own: Floats, value: float
     """
     blocks = joined(pool, own)
     cap = None if repeats else 1.0 / count
-    relaxed = approximate_design(blocks, aim.target(), criterion=aim.criterion, max_weight=cap)
+    try:
+        relaxed = approximate_design(blocks, aim.target(), criterion=aim.criterion, max_weight=cap)
+    except NoConvergence as error:  # its bound is proven all the same, only not the tightest
+        if not isinstance(error.best, ApproximateDesign):
+            raise
+        relaxed = error.best
     return Bound(value, min(relaxed.bound / count, value))
 
 
@@ -197,52 +240,106 @@ def joined(first: Floats, second: Floats) -> Floats:
     return blocks
 
 
-def _smallest(pool: Pool, seed: int) -> int:
-    """Smallest number of experiments whose total error keeps the tolerance at every test pose.
+def _sufficient(pool: Pool, seed: int) -> _Choice:
+    """The plan with the fewest experiments whose total error keeps the tolerance at every test pose.
 
     Raises:
-        Infeasible: The robot's own repeatability forbids it, or more than `_MOST` experiments are needed.
+        Infeasible: The robot's own repeatability forbids it, or more experiments are needed than may be made.
+    """
+    aim, settings = pool.objective, pool.observer.study.plan
+    least = math.ceil(aim.size / pool.blocks.shape[1])
+    most = _MOST if settings.repeats else min(_MOST, len(pool.blocks))
+    keeps = _tolerance_test(pool)
+
+    def keeps_on_the_grid(count: int) -> bool:
+        try:
+            chosen = _search(pool, aim.target(), count, seed, aim.criterion, effort="low")
+        except NotIdentifiable:  # too few
+            return False
+        return keeps(_information(pool.blocks[chosen]))
+
+    def chosen(count: int) -> _Choice | None:
+        try:
+            choice = _choose(pool, count, seed)
+        except (NotIdentifiable, Infeasible):  # too few
+            return None
+        nonlocal information
+        information = _information(choice.own) / count
+        return choice if keeps(count * information) else None
+
+    low, high = least, min(least, most)
+    while not keeps_on_the_grid(high):
+        if high == most:
+            raise _too_many(pool, most)
+        low, high = high + 1, min(2 * high, most)
+    count = bisect_left(range(high), True, lo=low, key=keeps_on_the_grid)
+    # refinement may take fewer, a guard more: a first plan tells about how many
+    information = np.zeros((aim.size, aim.size))
+    if chosen(count) is not None or information.any():
+        count = min(bisect_left(range(most), True, lo=least, key=lambda n: keeps(n * information)), most)
+    found = chosen(count)
+    while found is None:
+        count += 1
+        if count > most:
+            raise _too_many(pool, most)
+        found = chosen(count)
+    while count > least and (fewer := chosen(count - 1)) is not None:
+        found, count = fewer, count - 1
+    return found
+
+
+def _too_many(pool: Pool, most: int) -> Infeasible:
+    """The error for a tolerance that no allowed number of experiments keeps."""
+    study = pool.observer.study
+    tolerance = (study.plan.tolerance or 0.0) / MM
+    return Infeasible(
+        f"{study.path}: [plan] tolerance_mm = {tolerance:g} needs more than {most} experiments; "
+        "allow a larger tolerance, heavier loads or a better instrument"
+    )
+
+
+def _tolerance_test(pool: Pool) -> Callable[[Floats], bool]:
+    """``information (p, p) -> bool``: is the tolerance kept at every test pose?
+
+    Raises:
+        Infeasible: The robot's own repeatability forbids it.
     """
     study, aim = pool.observer.study, pool.objective
     rows = target_rows(pool.observer, pool.known) / MM
-    tolerance = (study.plan.tolerance or 0.0) / MM
-    own = max(radius(jitter, study.plan.confidence) for jitter in jitter_covariance(study))
+    tolerance, confidence = (study.plan.tolerance or 0.0) / MM, study.plan.confidence
+    own = max(radius(jitter, confidence) for jitter in jitter_covariance(study))
     if own >= tolerance:
         raise Infeasible(
             f"{study.path}: [plan] tolerance_mm = {tolerance:g}: the robot's own pose jitter alone gives {own:.3g} mm "
-            f"at a test pose with confidence {study.plan.confidence:g}"
+            f"at a test pose with confidence {confidence:g}; no number of experiments removes it"
         )
 
-    def meets(count: int) -> bool:
-        chosen = _search(pool, aim.target("test_pose"), count, seed, criterion="test_pose", effort="low")
-        reached = accuracy(study, rows, covariance_of(_information(pool.blocks[chosen])))
-        worst = max(radius(total, study.plan.confidence) for total in reached.covariance + reached.jitter)
-        return worst <= tolerance
+    def keeps(information: Floats) -> bool:
+        if not np.isfinite(aim.value(information, "test_pose")):
+            return False
+        reached = accuracy(study, rows, covariance_of(information))
+        return max(radius(total, confidence) for total in reached.covariance + reached.jitter) <= tolerance
 
-    least = high = math.ceil(aim.size / pool.blocks.shape[1])
-    while not meets(high):
-        least, high = high + 1, 2 * high
-        if high > _MOST:
-            raise Infeasible(
-                f"{study.path}: [plan] tolerance_mm = {tolerance:g} needs more than {_MOST} experiments; allow a "
-                "larger tolerance, heavier loads or a better instrument"
-            )
-    return bisect_left(range(high), True, lo=least, key=meets)
+    return keeps
 
 
 def covariance_of(information: Floats) -> Floats:
-    """Inverse on unit columns; infinite variances where the matrix is singular."""
+    """Inverse on unit columns; infinite where the matrix is singular."""
     scale = np.sqrt(np.diag(information))
     if not (scale > 0).all():
-        return np.diag(np.where(scale > 0, np.nan, np.inf))
-    inverse: Floats = np.linalg.inv(information / scale / scale[:, None]) / scale / scale[:, None]
-    return inverse
+        return np.full_like(information, np.inf)
+    values, vectors = np.linalg.eigh(information / scale / scale[:, None])
+    if values[0] <= _SINGULAR * values[-1]:
+        return np.full_like(information, np.inf)
+    root = vectors / np.sqrt(values) / scale[:, None]
+    covariance: Floats = root @ root.T
+    return covariance
 
 
 def standard_deviations(information: Floats) -> Floats:
     """(p,) standard deviations; infinite where the information is singular."""
-    variance = np.diag(covariance_of(information))
-    return np.sqrt(np.where(np.isfinite(variance) & (variance > 0), variance, np.inf))
+    deviation: Floats = np.sqrt(np.diag(covariance_of(information)))
+    return deviation
 
 
 def _information(blocks: Floats) -> Floats:
@@ -251,17 +348,26 @@ def _information(blocks: Floats) -> Floats:
     return product
 
 
-def _search(pool: Pool, target: Floats, count: int, seed: int, *, criterion: str, effort: str = "normal") -> Ints:
-    """Indices of the chosen candidates, repeats included."""
-    found = exact_design(
-        pool.blocks,
-        target,
-        count,
-        criterion=criterion,
-        repeats=pool.observer.study.plan.repeats,
-        effort=effort,
-        seed=seed,
-    )
+def _search(pool: Pool, target: Floats, count: int, seed: int, criterion: str, *, effort: str = "normal") -> Ints:
+    """Indices of the chosen candidates, repeats included.
+
+    Raises:
+        NotIdentifiable: So many experiments cannot show what the criterion needs.
+    """
+    study = pool.observer.study
+    try:
+        found = exact_design(
+            pool.blocks, target, count, criterion=criterion, repeats=study.plan.repeats, effort=effort, seed=seed
+        )
+    except NotIdentifiable as error:
+        columns = [index for index in error.missing if isinstance(index, int)]
+        names = tuple(pool.observer.model.names[pool.known.kept[index]] for index in columns)
+        raise NotIdentifiable(
+            f"{study.path}: [plan] {count} poses are too few: no plan of them shows "
+            f"{', '.join(names) or 'all parameters'}, which criterion {criterion} needs; plan more poses, more loads "
+            "at each pose or more markers",
+            names,
+        ) from error
     return np.repeat(np.arange(len(found.counts)), found.counts)
 
 
@@ -269,48 +375,60 @@ def _guarded_search(pool: Pool, count: int, seed: int) -> tuple[Ints, Floats | N
     """Search; where the plan sees little but the test poses, weigh the parameters' own variances in.
 
     Returns:
-        Chosen candidates, the largest standard deviations allowed (p,) or None, and notes.
+        Chosen candidates, the standard deviations under the best plan for the parameters (None for criteria that
+        need no guard), and notes.
+
+    Raises:
+        Infeasible: ``max_std_percent`` cannot be met.
     """
-    aim = pool.objective
-    study = pool.observer.study
-    chosen = _search(pool, aim.target(), count, seed, criterion=aim.criterion)
+    aim, study = pool.objective, pool.observer.study
+    chosen = _search(pool, aim.target(), count, seed, aim.criterion)
     if aim.criterion not in {"test_pose", "G"}:
         return chosen, None, ()
-    best = standard_deviations(
-        _information(pool.blocks[_search(pool, np.eye(aim.size), count, seed, criterion="A", effort="low")])
-    )
-    limit = study.plan.max_std_percent / 100.0
-    ratio = _worst_ratio(pool, chosen, best)
-    if ratio.max() <= limit:
-        return chosen, limit * best, ()
-    names = [pool.observer.model.names[index] for index in pool.known.kept]
-    worst = int(np.argmax(ratio))
+    thorough = _search(pool, np.eye(aim.size), count, seed, "A")
+    best = standard_deviations(_information(pool.blocks[thorough]))
+    percent = study.plan.max_std_percent
+    name, ratio = _worst(pool, pool.blocks[chosen], best)
+    if ratio <= percent / 100.0:
+        return chosen, best, ()
     unguarded = aim.value(_information(pool.blocks[chosen]))
     share = 1e-4 * max(unguarded if np.isfinite(unguarded) else 1.0, 1e-300) / aim.size
     for _ in range(_GUARD_ROUNDS):
-        target = aim.guarded(best, share)
-        chosen = _search(pool, target, count, seed, criterion=aim.criterion, effort="low")
-        if _worst_ratio(pool, chosen, best).max() <= limit:
+        chosen = _search(pool, aim.guarded(best, share), count, seed, aim.criterion, effort="low")
+        if _worst(pool, pool.blocks[chosen], best)[1] <= percent / 100.0:
             value = aim.value(_information(pool.blocks[chosen]))
-            seen = (
-                f"{ratio[worst]:.3g} times worse than a plan for the parameters"
-                if np.isfinite(ratio[worst])
-                else "not at all"
-            )
             cost = f"costs {100 * (value / unguarded - 1):.2g} %" if np.isfinite(unguarded) else "keeps it identifiable"
             note = (
-                f"the best plan for the test poses alone would tell {names[worst]} {seen}; "
-                f"max_std_percent = {study.plan.max_std_percent:g} {cost}"
+                f"the best plan for the test poses alone would tell {name} {_times(ratio)}; "
+                f"max_std_percent = {percent:g} {cost}"
             )
-            return chosen, limit * best, (note,)
+            return chosen, best, (note,)
         share *= 8.0
     raise Infeasible(
-        f"{study.path}: [plan] max_std_percent = {study.plan.max_std_percent:g} cannot be met with {count} poses: "
-        f"{names[worst]} stays {ratio[worst]:.3g} times worse than in the best plan for the parameters; allow more"
+        f"{study.path}: [plan] max_std_percent = {percent:g} cannot be met with {count} poses: the best plan for the "
+        f"test poses tells {name} {_times(ratio)}; allow more"
     )
 
 
-def _worst_ratio(pool: Pool, chosen: Ints, best: Floats) -> Floats:
-    """(p,) standard deviations of a plan relative to the best plan for the parameters."""
-    ratio: Floats = standard_deviations(_information(pool.blocks[chosen])) / best
-    return ratio
+def _blind_spot(pool: Pool, own: Floats, best: Floats) -> tuple[str, ...]:
+    """A note if ``max_std_percent`` allows a plan that sees little but the test poses, and it is one."""
+    name, ratio = _worst(pool, own, best)
+    percent = pool.observer.study.plan.max_std_percent
+    if ratio <= _USUAL_PERCENT / 100.0 * (1.0 + 1e-6):
+        return ()
+    return (
+        f"this plan sees little but the test poses: it tells {name} {_times(ratio)}, which max_std_percent = "
+        f"{percent:g} allows; it is of little use for other poses or loads",
+    )
+
+
+def _worst(pool: Pool, own: Floats, best: Floats) -> tuple[str, float]:
+    """The parameter that a plan (n, k, p) tells worst relative to ``best`` (p,), and how much worse."""
+    ratio = standard_deviations(_information(own)) / best
+    worst = int(np.argmax(ratio))
+    return pool.observer.model.names[pool.known.kept[worst]], float(ratio[worst])
+
+
+def _times(ratio: float) -> str:
+    """A ratio of standard deviations in words."""
+    return f"{ratio:.3g} times worse than a plan for the parameters" if math.isfinite(ratio) else "not at all"

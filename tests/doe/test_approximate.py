@@ -181,7 +181,7 @@ def test_a_target_inside_a_deficient_row_space_is_valid():
     design = approximate_design(seen, target)
     assert design.value == pytest.approx(reduced.value, rel=3e-6)
     with pytest.raises(NotIdentifiable, match=r"1") as caught:
-        approximate_design(seen, target + [0.0, 1.0, 0.0, 0.0])
+        approximate_design(seen, target + np.eye(4)[1])
     assert caught.value.missing == (1,)
     with pytest.raises(NotIdentifiable) as caught:
         approximate_design(seen, None, criterion="D")

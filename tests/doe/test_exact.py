@@ -18,7 +18,7 @@ from identify.errors import Infeasible, InputError, NotIdentifiable
 CRITERIA = ("test_pose", "A", "D", "E", "G")
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     criterion=st.sampled_from(CRITERIA),
