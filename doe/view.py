@@ -7,9 +7,11 @@ is given; without them it makes a figure of its own. Colours mean the same in ev
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter
 
@@ -31,8 +33,8 @@ __all__ = [
 
 BEFORE, AFTER, TRUTH, FORCE = "#c2603f", "#17708a", "#2b2b2b", "#d9930d"
 GREY, PALE = "#8a8f94", "#d9dcdf"
-_SERIES = (BEFORE, AFTER)
-_ARMS = ("#0b3c4d", "#17708a", "#3f9a8c", "#7fae5a", "#b59b2f", "#8d5a97", "#54638f", "#a05a6b")
+_SERIES = (BEFORE, AFTER, "#8d5a97", "#7a8f3a", GREY)
+ARM = "#43525e"
 
 
 def canvas(columns: int = 1, *, width: float = 4.6, height: float = 3.4) -> Figure:
@@ -56,12 +58,14 @@ def stick_figures(
     force: Floats | None = None,
     markers: Floats | None = None,
     same: float = 0.05,
+    label: str = "pose",
     aspect: float = 1.35,
     axes: Axes | None = None,
 ) -> Figure:
     """Arms in space, side by side on one scale: joints, load arrow, reflectors, and the shadow on the floor.
 
-    The camera goes around with the arm, so that every load hangs to the right. Poses that nearly agree are drawn once.
+    The camera goes around with the arm, so that every load hangs to the right; z of the base points up. Poses that
+    nearly agree are drawn once, with their number.
 
     Args:
         robot: The robot.
@@ -70,28 +74,27 @@ def stick_figures(
         force: (3,) or (V, 3) direction of the load, base frame; along gravity by default.
         markers: (M, 3) reflectors, flange frame, m.
         same: Joint values this close (rad or m, all joints) count as one pose.
+        label: What one figure is called.
         aspect: Width by height of the panel, for which the rows are broken.
         axes: Where to draw.
     """
     axes = canvas().axes[0] if axes is None else axes
     kept, counts = distinct(q, same)
-    arms = _arms(robot, q, kept, attach, force, markers)
+    arms, unit = _arms(robot, q, kept, attach, force, markers)
     boxes = np.array([
         [points.min(axis=0), points.max(axis=0)] for points in (np.concatenate(list(a.values())) for a in arms)
     ])
-    places, size = _rows(boxes, aspect)
+    places, size = _rows(boxes, aspect, unit)
     for index, (arm, place) in enumerate(zip(arms, places, strict=True)):
-        _draw_arm(axes, {part: points + place for part, points in arm.items()}, _ARMS[index % len(_ARMS)])
-        words = f"pose {kept[index] + 1}" + (f"  ×{counts[index]}" if counts[index] > 1 else "")
+        _draw_arm(axes, {part: points + place for part, points in arm.items()})
+        words = f"{label} {kept[index] + 1}" + (f"  ×{counts[index]}" if counts[index] > 1 else "")
         middle = place[0] + boxes[index, :, 0].mean()
-        axes.text(
-            middle, place[1] + boxes[:, 0, 1].min() - 0.06, words, fontsize=7.5, color=TRUTH, ha="center", va="top"
-        )
-    axes.plot([size[0] - 1.0, size[0]], [0.1, 0.1], color=GREY, lw=2.0, solid_capstyle="butt")
-    axes.text(size[0] - 0.5, 0.2, "1 m", fontsize=7.5, color=GREY, ha="center", va="bottom")
+        foot = place[1] + boxes[:, 0, 1].min() - 0.06 * unit
+        axes.text(middle, foot, words, fontsize=7.5, color=TRUTH, ha="center", va="top")
+    _key(axes, size[0], unit, load=attach is not None, reflectors=markers is not None)
     axes.set(xlim=(0, size[0]), ylim=(0, size[1]), aspect="equal")
     axes.axis("off")
-    return axes.figure
+    return _figure(axes)
 
 
 def distinct(q: Floats, same: float) -> tuple[Ints, Ints]:
@@ -113,21 +116,25 @@ def distinct(q: Floats, same: float) -> tuple[Ints, Ints]:
     return np.array(kept, dtype=np.int64), np.array(counts, dtype=np.int64)
 
 
-def error_histogram(errors: Mapping[str, Floats], *, axes: Axes | None = None) -> Figure:
+def error_histogram(
+    errors: Mapping[str, Floats], *, what: str = "error of a reflector", axes: Axes | None = None
+) -> Figure:
     """Errors of several models on one logarithmic axis.
 
     Args:
         errors: Name of the model -> (K,) lengths of the errors, mm; the first is the one before.
+        what: What the errors are of.
         axes: Where to draw.
     """
     axes = canvas().axes[0] if axes is None else axes
-    everything = np.concatenate([np.asarray(values) for values in errors.values()])
+    errors = _above_zero(errors)
+    everything = np.concatenate(list(errors.values()))
     edges = np.geomspace(0.8 * everything.min(), 1.25 * everything.max(), 31)
     tops = []
-    for (_, values), colour in zip(errors.items(), _SERIES, strict=False):
-        count, _, _ = axes.hist(values, bins=edges, color=colour, edgecolor="white", linewidth=0.6)
+    for (_, values), colour in zip(errors.items(), cycle(_SERIES), strict=False):
+        count, _, _ = axes.hist(values, bins=edges.tolist(), color=colour, edgecolor="white", linewidth=0.6)
         tops.append(float(np.max(count)))
-    for (name, values), colour, top in zip(errors.items(), _SERIES, tops, strict=False):
+    for (name, values), colour, top in zip(errors.items(), cycle(_SERIES), tops, strict=False):
         middle = float(np.exp(np.log(values).mean()))
         words = f"{name}\nrms {_round(_rms(values))} mm\nmax {_round(float(np.max(values)))} mm"
         axes.text(middle, top + 0.03 * max(tops), words, color=colour, ha="center", va="bottom", fontsize=8)
@@ -135,14 +142,19 @@ def error_histogram(errors: Mapping[str, Floats], *, axes: Axes | None = None) -
     axes.set_xscale("log")
     _plain_log(axes.xaxis, everything)
     axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-    axes.set_xlabel("error of a reflector (mm)")
+    axes.set_xlabel(f"{what} (mm)")
     axes.set_ylabel("number of readings")
     _tidy(axes)
-    return axes.figure
+    return _figure(axes)
 
 
 def error_by_pose(
-    errors: Mapping[str, Floats], visit: Ints, names: Sequence[str] = (), *, axes: Axes | None = None
+    errors: Mapping[str, Floats],
+    visit: Ints,
+    names: Sequence[str] = (),
+    *,
+    what: str = "error of a reflector",
+    axes: Axes | None = None,
 ) -> Figure:
     """Largest error of each pose, poses sorted by the first model, the maximum of each model marked.
 
@@ -150,15 +162,17 @@ def error_by_pose(
         errors: Name of the model -> (K,) lengths of the errors, mm; the first is the one before.
         visit: (K,) pose of each error.
         names: Names of the poses; their numbers by default.
+        what: What the errors are of.
         axes: Where to draw.
     """
     axes = canvas().axes[0] if axes is None else axes
+    errors = _above_zero(errors)
     poses = np.unique(visit)
     largest = {name: np.array([values[visit == pose].max() for pose in poses]) for name, values in errors.items()}
     order = np.argsort(-next(iter(largest.values())), kind="stable")
     place = np.arange(len(poses))
     axes.vlines(place, *_ends(largest, order), color=PALE, lw=1.2)
-    for (name, values), colour in zip(largest.items(), _SERIES, strict=False):
+    for (name, values), colour in zip(largest.items(), cycle(_SERIES), strict=False):
         ranked = values[order]
         axes.plot(place, ranked, "o", color=colour, ms=4, label=name)
         top = int(np.argmax(ranked))
@@ -173,10 +187,10 @@ def error_by_pose(
     labels = [names[pose] if len(names) else str(pose + 1) for pose in poses[order]]
     axes.set_xticks(place, labels, rotation=90, fontsize=7)
     axes.set_xlabel("pose, sorted by the error before")
-    axes.set_ylabel("largest error of a reflector (mm)")
+    axes.set_ylabel(f"largest {what} (mm)")
     axes.legend(frameon=True, framealpha=1.0, edgecolor="none", fontsize=8, loc="center right")
     _tidy(axes)
-    return axes.figure
+    return _figure(axes)
 
 
 def intervals(
@@ -203,20 +217,20 @@ def intervals(
     centre, reach = 100.0 * (values / truth - 1.0), 100.0 * half / np.abs(truth)
     axes.axvline(0.0, color=TRUTH, lw=1.0)
     axes.errorbar(centre, place, xerr=reach, fmt="o", color=AFTER, ms=4.5, lw=2.0, capsize=3.0)
-    widest = 1.12 * float((np.abs(centre) + reach).max())
+    widest = 1.12 * float((np.abs(centre) + reach).max()) or 1.0
     axes.set_xlim(-widest, widest)
     axes.set_ylim(len(names) - 0.35, -0.85)
     axes.set_yticks(place, names)
     axes.tick_params(axis="y", length=0)
     for row, (value, width, true) in enumerate(zip(values, half, truth, strict=True)):
-        digits = max(0, 1 - int(np.floor(np.log10(width))))
+        digits = max(0, 1 - int(np.floor(np.log10(max(width, 1e-4 * abs(true))))))
         words = f"{value:.{digits}f} ± {width:.{digits}f}   (true {true:g})"
         axes.text(0.0, row - 0.26, words, fontsize=7.5, color=AFTER, ha="center", va="bottom", bbox=_PAPER)
-    axes.set_xlabel("identified - true (% of the true value)")
+    axes.set_xlabel("identified − true (% of the true value)")
     axes.text(0.0, -0.78, f"values in {unit}", fontsize=7.5, color=GREY, ha="center", va="center", bbox=_PAPER)
     _tidy(axes)
     axes.spines["left"].set_visible(False)
-    return axes.figure
+    return _figure(axes)
 
 
 def knee(
@@ -225,6 +239,7 @@ def knee(
     bound: Floats,
     random: Floats,
     *,
+    repeatability: float | None = None,
     mark: int | None = None,
     axes: Axes | None = None,
 ) -> Figure:
@@ -235,6 +250,7 @@ def knee(
         designed: (K,) expected error of the designed plans, um.
         bound: (K,) no plan of as many poses has a smaller one, um.
         random: (K, R) of random plans, um.
+        repeatability: Error that the robot adds by itself, um; drawn as a line.
         mark: A number of poses to point out; one of ``counts``.
         axes: Where to draw.
     """
@@ -245,10 +261,12 @@ def knee(
     axes.plot(counts, middle, color=BEFORE, lw=1.6)
     axes.fill_between(counts, least, bound, color=PALE, lw=0)
     axes.plot(counts, designed, "o-", color=AFTER, ms=3.6, lw=1.6)
-    axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_ylim(least, 1.15 * float(high.max()))
-    axes.set_xlim(counts[0], counts[-1])
+    axes.set_ylim(least, 1.6 * float(middle.max()))
+    if repeatability is not None:
+        axes.axhline(repeatability, color=TRUTH, lw=1.0, ls=(0, (4, 2)))
+        words = f"the robot's own repeatability, {repeatability:.0f} µm"
+        axes.text(counts[-1], 1.06 * repeatability, words, color=TRUTH, fontsize=8, ha="right", va="bottom")
     if mark is not None:
         at = int(np.flatnonzero(counts == mark)[0])
         axes.plot(counts[at], designed[at], "o", color=AFTER, ms=8, mfc="none", mew=1.4)
@@ -258,16 +276,14 @@ def knee(
             words, (counts[at], designed[at]), (-30, -26), textcoords="offset points", fontsize=8, color=AFTER,
             ha="center", arrowprops={"arrowstyle": "-", "color": AFTER, "lw": 0.7},
         )  # fmt: skip
-    axes.text(0.97, 0.94, "random plans\n(median, 5 to 95 %)", color=BEFORE, fontsize=8, **_corner(axes))
+    words = "random plans\n(median, 5 to 95 %)"
+    axes.text(0.97, 0.94, words, color=BEFORE, fontsize=8, transform=axes.transAxes, ha="right", va="top")
     axes.text(0.03, 0.05, "proven impossible", color=GREY, fontsize=8, transform=axes.transAxes)
-    axes.xaxis.set_major_locator(FixedLocator(_readable(counts)))
-    axes.xaxis.set_major_formatter(FuncFormatter(_number))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    _plain_log(axes.yaxis, np.concatenate([bound, high]))
-    axes.set_xlabel("number of poses")
+    _plain_log(axes.yaxis, np.concatenate([bound, middle]))
+    _pose_axis(axes, counts)
     axes.set_ylabel("expected error at the test poses, rms (µm)")
     _tidy(axes)
-    return axes.figure
+    return _figure(axes)
 
 
 def efficiencies(counts: Ints, designed: Floats, random: Floats, *, axes: Axes | None = None) -> Figure:
@@ -286,16 +302,11 @@ def efficiencies(counts: Ints, designed: Floats, random: Floats, *, axes: Axes |
     axes.plot(counts, 100.0 * designed, "o-", color=AFTER, ms=3.6, lw=1.6)
     axes.text(counts[-1], 100.0 * designed[-1] - 4.0, "designed plans", color=AFTER, fontsize=8, ha="right", va="top")
     axes.text(counts[-1], middle[-1] - 9.0, "random plans", color=BEFORE, fontsize=8, ha="right", va="top")
-    axes.set_xscale("log")
-    axes.xaxis.set_major_locator(FixedLocator(_readable(counts)))
-    axes.xaxis.set_major_formatter(FuncFormatter(_number))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_xlim(counts[0], counts[-1])
     axes.set_ylim(0, 103)
-    axes.set_xlabel("number of poses")
+    _pose_axis(axes, counts)
     axes.set_ylabel("proven efficiency (%)")
     _tidy(axes)
-    return axes.figure
+    return _figure(axes)
 
 
 def expected_and_realised(expected: Floats, realised: Floats, *, axes: Axes | None = None) -> Figure:
@@ -322,45 +333,69 @@ def expected_and_realised(expected: Floats, realised: Floats, *, axes: Axes | No
     axes.set_ylabel("error from the identified springs (µm)")
     axes.legend(frameon=False, fontsize=8, loc="upper right")
     _tidy(axes)
-    return axes.figure
+    return _figure(axes)
 
 
 _PAPER = {"boxstyle": "square,pad=0.15", "facecolor": "white", "edgecolor": "none"}
 
 
+def _figure(axes: Axes) -> Figure:
+    """The whole figure that axes belong to."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None, "axes of a figure that was cleared"
+    return figure
+
+
 def _arms(
     robot: Robot, q: Floats, kept: Ints, attach: Floats | None, force: Floats | None, markers: Floats | None
-) -> list[dict[str, Floats]]:
-    """Parts of each kept arm as the camera sees them: name -> (P, 2), m from the base."""
+) -> tuple[list[dict[str, Floats]], float]:
+    """Parts of each kept arm as the camera sees them, name -> (P, 2), m from the base; and a third of the reach, m."""
     frames = forward(robot, q[kept])
     base = np.zeros((len(kept), 1, 3))
     parts = {"line": np.concatenate([base, frames.origin, frames.flange_origin[:, None]], axis=1)}
     end = frames.flange_origin
+    unit = float(np.linalg.norm(parts["line"], axis=2).max()) / 2.8
     if markers is not None:
         parts["markers"] = end[:, None] + np.einsum("vij,mj->vmi", frames.flange_rotation, markers)
     if attach is not None:
         point = frames.point(np.broadcast_to(attach, (len(q), 3))[kept])
         pull = np.broadcast_to(robot.gravity_base if force is None else force, (len(q), 3))[kept]
-        tip = point + 0.45 * pull / np.linalg.norm(pull, axis=1, keepdims=True)
+        tip = point + 0.45 * unit * pull / np.linalg.norm(pull, axis=1, keepdims=True)
         parts["load"] = np.stack([end, point, tip], axis=1)
         end = point
     parts["shadow"] = parts["line"] * [1.0, 1.0, 0.0]
     turn = np.linspace(0.0, 2.0 * np.pi, 49)
-    parts["foot"] = np.broadcast_to(0.3 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1), (len(kept), 49, 3))
+    ring = 0.3 * unit * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    parts["foot"] = np.broadcast_to(ring, (len(kept), *ring.shape))
     across = np.arctan2(end[:, 1], end[:, 0]) + np.deg2rad(25.0)
     right = np.stack([np.cos(across), np.sin(across), 0 * across], axis=1)
     rise = np.deg2rad(14.0)
     up = np.stack([-np.sin(rise) * np.sin(across), np.sin(rise) * np.cos(across), 0 * across + np.cos(rise)], axis=1)
     screen = np.stack([right, up], axis=2)
-    return [{part: points[arm] @ screen[arm] for part, points in parts.items()} for arm in range(len(kept))]
+    return [{part: points[arm] @ screen[arm] for part, points in parts.items()} for arm in range(len(kept))], unit
 
 
-def _rows(boxes: Floats, aspect: float) -> tuple[Floats, Floats]:
+def _key(axes: Axes, width: float, unit: float, *, load: bool, reflectors: bool) -> None:
+    """A bar of a round length and what the signs mean, at the foot of a panel ``width`` m wide."""
+    power = 10.0 ** np.floor(np.log10(1.2 * unit))
+    bar = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= 1.2 * unit)
+    height = 0.1 * unit
+    axes.plot([width - bar, width], [height, height], color=GREY, lw=2.0, solid_capstyle="butt")
+    axes.text(width - bar - height, height, f"{bar:g} m", fontsize=7.5, color=GREY, ha="right", va="center")
+    words = [("load", FORCE, "$\\downarrow$", 7.0)] * load + [("reflectors", AFTER, "o", 2.8)] * reflectors
+    for index, (word, colour, sign, size) in enumerate(words):
+        x = 0.2 * unit + 0.22 * width * index
+        axes.plot(x, height, color=colour, marker=sign, ms=size, mew=0, ls="none")
+        axes.text(x + 0.18 * unit, height, word, fontsize=7.5, color=GREY, ha="left", va="center")
+
+
+def _rows(boxes: Floats, aspect: float, unit: float) -> tuple[Floats, Floats]:
     """Where arms stand in rows that fill a panel best.
 
     Args:
         boxes: (V, 2, 2) lower left and upper right corner of each arm, seen from its base, m.
         aspect: Width by height of the panel.
+        unit: About a third of the reach, m.
 
     Returns:
         (V, 2) places of the bases, lower left corner of the panel at zero, and its (2,) size, m.
@@ -368,22 +403,24 @@ def _rows(boxes: Floats, aspect: float) -> tuple[Floats, Floats]:
     gap = 0.12 * (boxes[:, 1] - boxes[:, 0]).max()
     width = boxes[:, 1, 0] - boxes[:, 0, 0] + 2 * gap
     bottom, top = boxes[:, 0, 1].min(), boxes[:, 1, 1].max()
-    height = top - bottom + 0.62  # room for the name below
+    height = top - bottom + 0.62 * unit  # room for the name below
     best, places, size = np.inf, np.zeros((len(boxes), 2)), np.ones(2)
     for count in range(1, len(boxes) + 1):
         ends = np.cumsum(width)
         row = np.minimum((ends - width / 2) / ends[-1] * count, count - 1e-9).astype(np.int64)
         totals = np.array([width[row == index].sum() for index in range(count)])
-        extent = np.array([totals.max(), count * height + 0.45])  # the scale stands at the foot
+        extent = np.array([totals.max(), count * height + 0.45 * unit])  # the scale stands at the foot
         if max(extent[0], aspect * extent[1]) < best:
             best, size = max(extent[0], aspect * extent[1]), extent
             before = ends - width - np.array([width[row < index].sum() for index in row])
             slack = (extent[0] - totals[row]) / 2
-            places = np.stack([before + slack + gap - boxes[:, 0, 0], 0.35 + (count - row) * height - top], axis=1)
+            places = np.stack(
+                [before + slack + gap - boxes[:, 0, 0], 0.35 * unit + (count - row) * height - top], axis=1
+            )
     return places, size
 
 
-def _draw_arm(axes: Axes, arm: Mapping[str, Floats], colour: str) -> None:
+def _draw_arm(axes: Axes, arm: Mapping[str, Floats]) -> None:
     """One arm from its parts (P, 2), m."""
     axes.fill(*arm["foot"].T, color=PALE, lw=0)
     axes.plot(*arm["shadow"].T, color=PALE, lw=2.2, solid_capstyle="round", solid_joinstyle="round")
@@ -392,10 +429,10 @@ def _draw_arm(axes: Axes, arm: Mapping[str, Floats], colour: str) -> None:
         axes.plot(*np.stack([flange, point]).T, color=FORCE, lw=1.3)
         style = {"arrowstyle": "-|>", "color": FORCE, "lw": 1.6, "mutation_scale": 8, "shrinkA": 0, "shrinkB": 0}
         axes.annotate("", tip, point, arrowprops=style)
-    axes.plot(*arm["line"].T, color=colour, lw=3.0, solid_capstyle="round", solid_joinstyle="round")
-    axes.plot(*arm["line"][1:-1].T, "o", color="white", mec=colour, mew=1.0, ms=3.6)
+    axes.plot(*arm["line"].T, color=ARM, lw=3.0, solid_capstyle="round", solid_joinstyle="round")
+    axes.plot(*arm["line"][1:-1].T, "o", color="white", mec=ARM, mew=1.0, ms=3.6)
     if "markers" in arm:
-        axes.plot(*arm["markers"].T, "o", color=TRUTH, ms=2.4, mew=0)
+        axes.plot(*arm["markers"].T, "o", color=AFTER, ms=2.8, mew=0)
 
 
 def _tidy(axes: Axes) -> None:
@@ -407,14 +444,24 @@ def _tidy(axes: Axes) -> None:
     axes.yaxis.label.set_fontsize(9)
 
 
-def _plain_log(axis: object, values: Floats) -> None:
+def _plain_log(axis: Axis, values: Floats) -> None:
     """Ticks at 1, 2 and 5 times powers of ten, written as plain numbers."""
     low, high = np.floor(np.log10(values.min())) - 1, np.ceil(np.log10(values.max())) + 1
     steps = (1.0,) if high - low > 5 else (1.0, 2.0, 5.0)
     ticks = [step * 10.0**power for power in np.arange(low, high + 1) for step in steps]
-    axis.set_major_locator(FixedLocator(ticks))  # type: ignore[attr-defined]
-    axis.set_major_formatter(FuncFormatter(_number))  # type: ignore[attr-defined]
-    axis.set_minor_formatter(NullFormatter())  # type: ignore[attr-defined]
+    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_major_formatter(FuncFormatter(_number))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _pose_axis(axes: Axes, counts: Ints) -> None:
+    """Numbers of poses (K,) on a logarithmic axis."""
+    axes.set_xscale("log")
+    axes.set_xlim(counts[0], counts[-1])
+    axes.xaxis.set_major_locator(FixedLocator(_readable(counts)))
+    axes.xaxis.set_major_formatter(FuncFormatter(_number))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_xlabel("number of poses")
 
 
 def _readable(counts: Ints) -> list[int]:
@@ -439,6 +486,12 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+def _above_zero(errors: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Errors that a logarithmic axis can show: at least a millionth of the largest."""
+    least = 1e-6 * max(float(values.max()) for values in errors.values()) or 1e-6
+    return {name: np.maximum(values, least) for name, values in errors.items()}
+
+
 def _ends(values: Mapping[str, Floats], order: Ints) -> tuple[Floats, Floats]:
     """Smallest and largest of several models, (K,) each, in an order."""
     table = np.stack(list(values.values()))[:, order]
@@ -447,7 +500,3 @@ def _ends(values: Mapping[str, Floats], order: Ints) -> tuple[Floats, Floats]:
 
 def _floor(largest: Mapping[str, Floats]) -> float:
     return 0.5 * min(float(values.min()) for values in largest.values())
-
-
-def _corner(axes: Axes) -> dict[str, object]:
-    return {"transform": axes.transAxes, "ha": "right", "va": "top"}

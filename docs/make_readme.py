@@ -1,0 +1,99 @@
+"""Put what `make demo` prints into the README: `python docs/make_readme.py`.
+
+The commands are those of the target `demo` in the Makefile; they run in a temporary folder with a copy of `configs`.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from pathlib import Path
+
+from doe.cli import run
+
+__all__ = ["BEGIN", "END", "ROOT", "demo_commands", "demo_section", "run_demo", "section_of"]
+
+ROOT = Path(__file__).resolve().parents[1]
+BEGIN, END = "<!-- demo:begin -->", "<!-- demo:end -->"
+
+
+def demo_commands() -> list[str]:
+    """Command lines of the target `demo`, as make prints them."""
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    values = dict(re.findall(r"^(\w+) :?\??= *(.*)$", makefile, flags=re.MULTILINE))
+    recipe = re.search(r"^demo:.*\n((?:\t.*\n)+)", makefile, flags=re.MULTILINE)
+    if recipe is None:
+        raise SystemExit("the Makefile has no target demo")
+    lines = [line.strip() for line in recipe[1].splitlines()]
+    for _ in values:  # a variable may stand for others
+        lines = [re.sub(r"\$\((\w+)\)", lambda found: values[found[1]], line) for line in lines]
+    return lines
+
+
+def run_demo(folder: Path) -> list[tuple[str, str]]:
+    """Run the demo in a folder.
+
+    Args:
+        folder: Where to run; gets a copy of `configs` and the results in `out/demo`.
+
+    Returns:
+        Each command line with what it printed on stdout.
+    """
+    shutil.copytree(ROOT / "configs", folder / "configs")
+    printed = []
+    with _working_in(folder):
+        for line in demo_commands():
+            out, err = io.StringIO(), io.StringIO()
+            with redirect_stdout(out), redirect_stderr(err):
+                code = run(line.split()[1:])
+            if code != 0:
+                raise SystemExit(f"{line}\nended with {code}\n{err.getvalue()}")
+            printed.append((line, out.getvalue()))
+    return printed
+
+
+@contextmanager
+def _working_in(folder: Path) -> Iterator[None]:
+    """Work in another folder, with the handlers of our log put back afterwards."""
+    before, log = Path.cwd(), logging.getLogger("elastocal")
+    handlers, level = log.handlers, log.level
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(before)
+        log.handlers = handlers
+        log.setLevel(level)
+
+
+def demo_section(printed: list[tuple[str, str]]) -> str:
+    """What stands between the marks of the README."""
+    blocks = [f"$ {line}\n{text.rstrip()}\n" for line, text in printed]
+    return "\n```text\n" + "\n".join(blocks) + "```\n"
+
+
+def section_of(readme: str) -> tuple[str, str, str]:
+    """The README before, between and after the marks."""
+    before, rest = readme.split(BEGIN, 1)
+    between, after = rest.split(END, 1)
+    return before + BEGIN, between, END + after
+
+
+def main() -> None:
+    """Rewrite the section of the README."""
+    with tempfile.TemporaryDirectory() as folder:
+        section = demo_section(run_demo(Path(folder)))
+    path = ROOT / "README.md"
+    before, old, after = section_of(path.read_text(encoding="utf-8"))
+    path.write_text(before + section + after, encoding="utf-8", newline="\n")
+    print("README.md: nothing has changed" if old == section else "README.md: the printed output was renewed")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""What the README shows is what comes out; what it points to exists."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from decimal import Decimal
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DECIMAL = re.compile(r"(?<![\w.])-?\d+(?:\.\d+(?:e[+-]?\d+)?|e[+-]?\d+)")
+
+
+def script(name: str) -> ModuleType:
+    """A script of the folder docs."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def tail(number: str) -> Decimal:
+    """One unit in the last printed digit."""
+    return Decimal((0, (1,), int(Decimal(number).as_tuple().exponent)))
+
+
+def same_print(shown: str, made: str) -> bool:
+    """Equal words and whole numbers; decimal numbers may differ by one in the last digit."""
+    if DECIMAL.sub("#", shown).split() != DECIMAL.sub("#", made).split():
+        return False
+    pairs = zip(DECIMAL.findall(shown), DECIMAL.findall(made), strict=True)
+    return all(abs(Decimal(a) - Decimal(b)) <= max(tail(a), tail(b)) for a, b in pairs)
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[str, str]]]:
+    """The folder where the demo ran, and what it printed."""
+    folder = tmp_path_factory.mktemp("demo")
+    return folder, script("make_readme").run_demo(folder)
+
+
+def test_one_digit_is_all_that_may_move() -> None:
+    assert same_print("value  3.2247e-05 mm, 15 poses", "value 3.2248e-05 mm, 15 poses")
+    assert not same_print("3.2247e-05", "3.2249e-05")
+    assert not same_print("15 poses", "16 poses")
+    assert same_print("rms 0.029", "rms 0.03")
+    assert not same_print("rms 0.0719 mm", "rms 0.0719 um")
+
+
+def test_readme_shows_what_the_demo_prints(demo: tuple[Path, list[tuple[str, str]]]) -> None:
+    maker = script("make_readme")
+    _, shown, _ = maker.section_of(README)
+    made = maker.demo_section(demo[1])
+    lines = zip(shown.splitlines(), made.splitlines(), strict=False)
+    wrong = [f"shown: {old}\n made: {new}" for old, new in lines if not same_print(old, new)]
+    again = "renew the README with: .venv/bin/python docs/make_readme.py"
+    assert not wrong, "\n".join([*wrong, again])
+    assert len(shown.splitlines()) == len(made.splitlines()), again
+
+
+def test_python_snippets_of_the_readme_run(
+    demo: tuple[Path, list[tuple[str, str]]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(demo[0])
+    snippets = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    assert snippets
+    for snippet in snippets:
+        exec(compile(snippet, "README.md", "exec"), {})
+    assert "joint_compliance.j2" in capsys.readouterr().out
+
+
+def test_picture_of_the_readme_is_drawn_from_the_demo_and_small(demo: tuple[Path, list[tuple[str, str]]]) -> None:
+    sys.path.insert(0, str(ROOT / "docs"))
+    try:
+        maker = script("make_demo_picture")
+    finally:
+        sys.path.remove(str(ROOT / "docs"))
+    drawn = maker.svg(maker.picture(demo[0]))
+    assert drawn == maker.svg(maker.picture(demo[0])), "the same numbers give the same bytes"
+    committed = (ROOT / "docs" / "demo.svg").read_text(encoding="utf-8")
+    names = re.compile(r"<!-- (.*?) -->")  # every text of the picture stands in a comment
+    assert same_print(" ".join(names.findall(committed)), " ".join(names.findall(drawn))), (
+        "renew the picture with: .venv/bin/python docs/make_demo_picture.py"
+    )
+    assert len(committed) < 300_000
+    assert not re.search(r"(href|src)=\"http|<dc:date>", committed)
+
+
+def links(page: Path) -> set[str]:
+    """Relative targets of links and pictures, and paths in code marks that look like files of this repository."""
+    text = page.read_text(encoding="utf-8")
+    linked = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text)
+    named = re.findall(r"`((?:configs|docs|doe|identify|notebooks|tests|benchmarks|\.ci)/[\w./-]*)`", text)
+    beside = {(page.parent / link).relative_to(ROOT).as_posix() for link in linked if "://" not in link}
+    return beside | set(named)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_file_that_a_page_points_to_exists(page: Path) -> None:
+    missing = sorted(link for link in links(page) if not (ROOT / link).exists())
+    assert not missing
+
+
+def test_marked_sections_stand_once() -> None:
+    for mark in ("<!-- demo:begin -->", "<!-- demo:end -->"):
+        assert README.count(mark) == 1
