@@ -1,12 +1,10 @@
-"""Speed and quality of the design engine on the reference arm: run `python benchmarks/design.py [--quick]`.
+"""Speed and quality of the design engine on the reference arm, beside a general solver and a plain exchange.
 
-Times are CPU seconds and wall seconds; ratios compare runs of the same process. `--quick` leaves out the
-comparison with the general solver, which takes a minute, and the five seeds.
+Times are CPU and wall seconds; ratios compare runs of the same process. The whole takes five minutes.
 """
 
 from __future__ import annotations
 
-import argparse
 import resource
 import statistics
 import sys
@@ -102,17 +100,13 @@ def exact(seeds: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
-    quick = parser.parse_args().quick
     warm = reference_case(50, 6)
     approximate_design(*warm)  # imports
     approximate()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"    peak memory so far {peak:.0f} MB, of it 187 MB blocks and what made them")
-    exact(1 if quick else 5)
-    if not quick:
-        against_cvxpy()
+    exact(5)
+    against_cvxpy()
 
 
 if __name__ == "__main__":

@@ -20,10 +20,20 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
+
+def _version() -> str:
+    """Version of the installed distribution."""
+    from importlib.metadata import version
+
+    return version("elastocal")
+
+
 app = App(
     name="elastocal",
     help="Plan the measurement of a loaded robot, identify its stiffness, predict where it will be.",
+    version=_version,
     version_flags=["--version"],
+    suppress_keyboard_interrupt=False,
 )
 
 
@@ -55,6 +65,7 @@ def plan(study: Path, *, out: Path, common: Common = _DEFAULT) -> int:
     Args:
         study: Study file (TOML).
         out: Folder for plan.json and plan.csv.
+        common: Options that every command has.
     """
     from doe.commands import run_plan
 
@@ -69,6 +80,7 @@ def evaluate(study: Path, plan: Path, *, out: Path, common: Common = _DEFAULT) -
         study: Study file (TOML).
         plan: Pose file (CSV): pose, load, q1_deg ...
         out: Folder for evaluate.json.
+        common: Options that every command has.
     """
     from doe.commands import run_evaluate
 
@@ -84,6 +96,7 @@ def simulate(study: Path, plan: Path, *, truth: Path | None = None, out: Path, c
         plan: Pose file (CSV).
         truth: What differs from the study (TOML); by default nothing does.
         out: Folder for simulate.json and measurements.csv.
+        common: Options that every command has.
     """
     from identify.commands import run_simulate
 
@@ -98,6 +111,7 @@ def identify(study: Path, measurements: Path, *, out: Path, common: Common = _DE
         study: Study file (TOML).
         measurements: Measured positions (CSV).
         out: Folder for identify.json.
+        common: Options that every command has.
     """
     from identify.commands import run_identify
 
@@ -113,6 +127,7 @@ def predict(study: Path, result: Path, plan: Path, *, out: Path, common: Common 
         result: identify.json or diagnose.json.
         plan: Pose file (CSV).
         out: Folder for predict.json and predicted.csv.
+        common: Options that every command has.
     """
     from identify.commands import run_predict
 

@@ -36,6 +36,7 @@ def run_plan(study_file: Path, *, seed: int) -> Outcome:
         **_judgement(made.pool.observer, made.pool.known, made.pool.objective, made.final, reached),
         "grid": _bound(made.grid),
         "poses": len(made.q),
+        "different_poses": len(np.unique(made.q, axis=0)),
         "refinement": _refinement(made),
         "std": _std(made.covariance),
         **_counts(made.pool.candidates),
@@ -58,6 +59,7 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
         **_judgement(judged.observer, judged.known, aim, judged.bound, reached),
         "grid": None,
         "poses": judged.visits,
+        "different_poses": len(np.unique(experiment.q, axis=0)),
         "test_poses": _test_poses(reached),
         "criteria": {
             name: aim.value(judged.information, name) if name not in _UNIT or aim.rows is not None else None
@@ -160,7 +162,10 @@ def _weakest(observer: Observer, known: Identifiability, aim: Objective, covaria
 
 def _lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
     criterion = content["criterion"]
-    lines = [f"{count} experiments, {content['rank']} parameters, reference {content['reference']}"]
+    lines = [
+        f"{count} experiments at {content['different_poses']} different poses, {content['rank']} parameters, "
+        f"reference {content['reference']}"
+    ]
     if criterion["rms_mm"] is not None:
         lines.append(
             f"expected error at the test poses: {criterion['rms_mm']:.4f} mm rms "
@@ -168,12 +173,13 @@ def _lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
         )
     lines.append(f"criterion {criterion['name']} = {criterion['value']:.5g} {criterion['unit']}")
     lines.append(
-        f"proven: no {count} experiments of the {content['candidates']} candidates are better than {content['bound']:.5g}"
+        f"proven: no {count} of these poses and the {content['candidates']} candidates reach less than "
+        f"{content['bound']:.5g}, so the efficiency is at least {100 * content['efficiency']:.2f} %"
     )
-    lines.append(f"efficiency at least {100 * content['efficiency']:.2f} %")
     if content["grid"] is not None:
         lines.append(
-            f"on the grid alone: {content['grid']['value']:.5g}, efficiency {100 * content['grid']['efficiency']:.2f} %"
+            f"before refinement: {content['grid']['value']:.5g}, on the candidates alone at least "
+            f"{100 * content['grid']['efficiency']:.2f} % efficient"
         )
     if content.get("refinement") is not None:
         lines.append(f"refining the joint angles gained {content['refinement']['gained_percent']:.1f} %")

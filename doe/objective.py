@@ -9,7 +9,7 @@ import numpy as np
 
 from doe.observations import Observer, target_rows
 from identify.arrays import Floats
-from identify.errors import NotIdentifiable
+from identify.errors import InputError, NotIdentifiable
 from identify.identifiability import Identifiability, why_not
 from identify.study import Criterion
 from identify.units import MM
@@ -74,7 +74,7 @@ def objective(observer: Observer, known: Identifiability, criterion: Criterion) 
     """The objective of a study on the kept parameters.
 
     Raises:
-        InputError: The criterion needs test poses and there are none.
+        InputError: The criterion needs test poses and there are none, or none that depends on a parameter.
         NotIdentifiable: Nothing can be identified, or the criterion needs a direction that the candidates cannot show.
     """
     model, poses = observer.model, observer.study.test_poses
@@ -89,5 +89,10 @@ def objective(observer: Observer, known: Identifiability, criterion: Criterion) 
         if criterion in {"test_pose", "G"}:
             raise
         log.warning("accuracy at the test poses cannot be told: %s", error)
+    if criterion in {"test_pose", "G"} and rows is not None and not rows.any():
+        raise InputError(
+            f"{observer.study.path}: [[test_poses]]: nothing that can be identified moves their points, so every plan "
+            "would be as good; give them a wrench that loads the joints, or put geometry into the model"
+        )
     weights = np.array([pose.weight for pose in poses])
     return Objective(criterion, rows, weights / max(weights.sum(), 1e-300), len(known.kept))

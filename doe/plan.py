@@ -27,8 +27,10 @@ from identify.units import MM
 __all__ = ["Bound", "Plan", "Pool", "bound_of", "build_pool", "plan"]
 
 _GUARD_ROUNDS = 12
+_HARDLY = 1e-3  # loss of the criterion that a plan with fewer different poses is worth
 _MOST = 2000  # experiments
 _USUAL_PERCENT = 300.0  # the default of max_std_percent; beyond it a plan says what it does not see
+_SAME = 1e-9  # blocks that differ by less are those of one pose
 _SINGULAR = 1e-15  # smallest over largest eigenvalue on unit columns
 
 log = logging.getLogger("elastocal")
@@ -162,7 +164,7 @@ def _choose(pool: Pool, count: int, seed: int) -> _Choice:
         log.info("refining the joint angles of %d experiments", count)
         for limit in (None, most):  # most plans keep the limit without being told
             refinement = _refine(pool, q, loads, limit)
-            refined = rounded(study, refinement.q)
+            refined = _together(pool, chosen, rounded(study, refinement.q), loads)
             moved = pool.observer.blocks(refined, loads)[:, :, pool.known.kept]
             if most is None or (standard_deviations(_information(moved)) <= most * (1.0 + 1e-6)).all():
                 break
@@ -192,6 +194,23 @@ def _refine(pool: Pool, q: Floats, loads: Ints, limits: Floats | None) -> Refine
     )
 
 
+def _together(pool: Pool, chosen: Ints, q: Floats, loads: Ints) -> Floats:
+    """Joint values in which repeats of one candidate that hardly parted stand at one pose again."""
+    value = _value(pool, q, loads)
+    for candidate in np.unique(chosen):
+        visits = np.flatnonzero(chosen == candidate)
+        tidy = q.copy()
+        tidy[visits] = q[visits[0]]
+        if len(visits) > 1 and _value(pool, tidy, loads) <= value * (1.0 + _HARDLY):
+            q = tidy
+    return q
+
+
+def _value(pool: Pool, q: Floats, loads: Ints) -> float:
+    """Criterion of visits, by the exact blocks."""
+    return pool.objective.value(_information(pool.observer.blocks(q, loads)[:, :, pool.known.kept]))
+
+
 def build_pool(study: Study, seed: int) -> Pool:
     """Candidates, their blocks and the objective."""
     chosen = candidates(study, seed=seed)
@@ -218,7 +237,7 @@ def bound_of(aim: Objective, count: int, pool: Floats, own: Floats, value: float
         value: What the plan reaches.
         repeats: One candidate may be measured several times.
     """
-    blocks = joined(pool, own)
+    blocks = joined(pool, own[~_among(pool, own, repeats=repeats)])
     cap = None if repeats else 1.0 / count
     try:
         relaxed = approximate_design(blocks, aim.target(), criterion=aim.criterion, max_weight=cap)
@@ -227,6 +246,21 @@ def bound_of(aim: Objective, count: int, pool: Floats, own: Floats, value: float
             raise
         relaxed = error.best
     return Bound(value, min(relaxed.bound / count, value))
+
+
+def _among(pool: Floats, own: Floats, *, repeats: bool) -> np.ndarray:
+    """(n,) True for blocks of ``own`` that are candidates already; without repeats a candidate stands for one only."""
+    known = np.zeros(len(own), dtype=bool)
+    if not len(pool) or own.shape[1:] != pool.shape[1:]:
+        return known
+    size, sizes = (np.einsum("nki,nki->n", blocks, blocks) for blocks in (own, pool))
+    free = np.ones(len(pool), dtype=bool)
+    for index, block in enumerate(own):
+        near = np.flatnonzero(free & (np.abs(sizes - size[index]) <= _SAME * size[index]))
+        same = near[np.abs(pool[near] - block).max(axis=(1, 2), initial=0.0) <= _SAME * size[index] ** 0.5]
+        known[index] = len(same) > 0
+        free[same[:1]] = repeats
+    return known
 
 
 def joined(first: Floats, second: Floats) -> Floats:
@@ -260,12 +294,9 @@ def _sufficient(pool: Pool, seed: int) -> _Choice:
 
     def chosen(count: int) -> _Choice | None:
         try:
-            choice = _choose(pool, count, seed)
+            return _choose(pool, count, seed)
         except (NotIdentifiable, Infeasible):  # too few
             return None
-        nonlocal information
-        information = _information(choice.own) / count
-        return choice if keeps(count * information) else None
 
     low, high = least, min(least, most)
     while not keeps_on_the_grid(high):
@@ -273,18 +304,22 @@ def _sufficient(pool: Pool, seed: int) -> _Choice:
             raise _too_many(pool, most)
         low, high = high + 1, min(2 * high, most)
     count = bisect_left(range(high), True, lo=low, key=keeps_on_the_grid)
-    # refinement may take fewer, a guard more: a first plan tells about how many
-    information = np.zeros((aim.size, aim.size))
-    if chosen(count) is not None or information.any():
-        count = min(bisect_left(range(most), True, lo=least, key=lambda n: keeps(n * information)), most)
     found = chosen(count)
-    while found is None:
+    if found is not None:  # refinement may take fewer, a guard more: the first plan tells about how many
+        each = _information(found.own) / count
+        count = min(bisect_left(range(most), True, lo=least, key=lambda n: keeps(n * each)), most)
+        found = chosen(count)
+    while found is None or not keeps(_information(found.own)):
         count += 1
         if count > most:
             raise _too_many(pool, most)
         found = chosen(count)
-    while count > least and (fewer := chosen(count - 1)) is not None:
-        found, count = fewer, count - 1
+    while count > least:
+        count -= 1
+        fewer = chosen(count)
+        if fewer is None or not keeps(_information(fewer.own)):
+            break
+        found = fewer
     return found
 
 

@@ -73,7 +73,10 @@ def _identify_lines(content: dict[str, Any]) -> tuple[str, ...]:
             f"rms {heldout['rms_mm']:.4f} mm, max {heldout['max_mm']:.4f} mm"
         )
     if content["compensated_percent"] is not None:
-        lines.append(f"deflection compensated: {content['compensated_percent']:.1f} %")
+        lines.append(
+            f"measured deflection: rms {content['deflection']['rms_mm']:.4f} mm, "
+            f"compensated {content['compensated_percent']:.1f} %"
+        )
     return (*lines, *(f"note: {note}" for note in content["notes"]))
 
 
