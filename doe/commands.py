@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from doe.accuracy import Accuracy, accuracy, radius
+from doe.bounds import Bound
 from doe.candidates import Candidates
 from doe.evaluate import evaluate
 from doe.objective import Objective
 from doe.observations import Observer
-from doe.plan import Bound, Plan, plan
+from doe.plan import Plan, plan
 from identify.arrays import Floats
 from identify.commands import Outcome
 from identify.config import load_study

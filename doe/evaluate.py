@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 
+from doe.bounds import Bound, bound_of
 from doe.candidates import Candidates, candidates
+from doe.information import covariance_of
 from doe.objective import Objective, objective
 from doe.observations import Observer, keep_columns, observer, stacked_visits
-from doe.plan import Bound, bound_of, covariance_of
 from identify.arrays import Floats
 from identify.errors import Infeasible
 from identify.experiment import Experiment

@@ -10,8 +10,10 @@ from doe.accuracy import accuracy, radius
 from doe.candidates import rounded
 from doe.evaluate import evaluate
 from doe.feasible import check, joint_range
+from doe.information import standard_deviations
 from doe.observations import observer
-from doe.plan import build_pool, plan, standard_deviations
+from doe.plan import plan
+from doe.pool import build_pool
 from identify.arrays import frozen
 from identify.errors import Infeasible, NotIdentifiable
 from identify.experiment import full_experiment

@@ -1,0 +1,107 @@
+"""The fewest experiments that keep a stated tolerance at the test poses."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Callable
+
+import numpy as np
+
+from doe.accuracy import accuracy, jitter_covariance, radius
+from doe.choice import Choice, choose
+from doe.guard import search
+from doe.information import covariance_of, information_of
+from doe.observations import target_rows
+from doe.pool import Pool
+from identify.arrays import Floats
+from identify.errors import Infeasible, NotIdentifiable
+from identify.units import MM
+
+__all__ = ["sufficient"]
+
+_MOST = 2000  # experiments
+
+
+def sufficient(pool: Pool, seed: int) -> Choice:
+    """The plan with the fewest experiments whose total error keeps the tolerance at every test pose.
+
+    Raises:
+        Infeasible: The robot's own repeatability forbids it, or more experiments are needed than may be made.
+    """
+    aim, settings = pool.objective, pool.observer.study.plan
+    least = math.ceil(aim.size / pool.blocks.shape[1])
+    most = _MOST if settings.repeats else min(_MOST, len(pool.blocks))
+    keeps = _tolerance_test(pool)
+
+    def keeps_on_the_grid(count: int) -> bool:
+        try:
+            chosen = search(pool, aim.target(), count, seed, aim.criterion, effort="low")
+        except NotIdentifiable:  # too few
+            return False
+        return keeps(information_of(pool.blocks[chosen]))
+
+    def chosen(count: int) -> Choice | None:
+        try:
+            return choose(pool, count, seed)
+        except (NotIdentifiable, Infeasible):  # too few
+            return None
+
+    low, high = least, min(least, most)
+    while not keeps_on_the_grid(high):
+        if high == most:
+            raise _too_many(pool, most)
+        low, high = high + 1, min(2 * high, most)
+    count = bisect_left(range(high), True, lo=low, key=keeps_on_the_grid)
+    found = chosen(count)
+    if found is not None:  # refinement may take fewer, a guard more: the first plan tells about how many
+        each = information_of(found.own) / count
+        count = min(bisect_left(range(most), True, lo=least, key=lambda n: keeps(n * each)), most)
+        found = chosen(count)
+    while found is None or not keeps(information_of(found.own)):
+        count += 1
+        if count > most:
+            raise _too_many(pool, most)
+        found = chosen(count)
+    while count > least:
+        count -= 1
+        fewer = chosen(count)
+        if fewer is None or not keeps(information_of(fewer.own)):
+            break
+        found = fewer
+    return found
+
+
+def _too_many(pool: Pool, most: int) -> Infeasible:
+    """The error for a tolerance that no allowed number of experiments keeps."""
+    study = pool.observer.study
+    tolerance = (study.plan.tolerance or 0.0) / MM
+    return Infeasible(
+        f"{study.path}: [plan] tolerance_mm = {tolerance:g} needs more than {most} experiments; "
+        "allow a larger tolerance, heavier loads or a better instrument"
+    )
+
+
+def _tolerance_test(pool: Pool) -> Callable[[Floats], bool]:
+    """``information (p, p) -> bool``: is the tolerance kept at every test pose?
+
+    Raises:
+        Infeasible: The robot's own repeatability forbids it.
+    """
+    study, aim = pool.observer.study, pool.objective
+    rows = target_rows(pool.observer, pool.known) / MM
+    tolerance, confidence = (study.plan.tolerance or 0.0) / MM, study.plan.confidence
+    own = max(radius(jitter, confidence) for jitter in jitter_covariance(study))
+    if own >= tolerance:
+        raise Infeasible(
+            f"{study.path}: [plan] tolerance_mm = {tolerance:g}: the robot's own pose jitter alone gives {own:.3g} mm "
+            f"at a test pose with confidence {confidence:g}; no number of experiments removes it"
+        )
+
+    def keeps(information: Floats) -> bool:
+        if not np.isfinite(aim.value(information, "test_pose")):
+            return False
+        reached = accuracy(study, rows, covariance_of(information))
+        return max(radius(total, confidence) for total in reached.covariance + reached.jitter) <= tolerance
+
+    return keeps
