@@ -18,7 +18,7 @@ import numpy as np
 from identify.alignment import align, inverse
 from identify.arrays import Floats, Ints
 from identify.errors import InputError, NoConvergence
-from identify.experiment import Measurements
+from identify.experiment import Experiment, Measurements
 from identify.identifiability import Identifiability, independent_columns, triangle
 from identify.model import Model, Response, frame_displacement, respond
 from identify.noise import Whitening, instrument_covariance, whitening
@@ -28,10 +28,13 @@ __all__ = ["OUTLYING", "Fit", "State", "fit", "start"]
 
 OUTLYING = 7.0  # P(chi(3) > 7) = 1.3e-10; model errors of real robots reach 6 robust sigmas
 _MEDIAN_CHI2_3 = 2.365974
-_STEP = 1e-7  # converged when no step moves the fit by more than this many sigmas
+_STEP = 1e-8  # converged when no step moves the fit by more than this many sigmas
 _NEARLY = 1e-4  # good enough where rounding does not let it come closer
+_FIRST_STEPS = 3  # before rows are judged anew
 _MAX_STEPS = 60
-_MAX_REWEIGHTS = 30
+_MAX_REWEIGHTS = 50
+_MAX_CHOICES = 8
+_ROUNDING = 1e-10  # of chi2: readings of some m, exact to 1e-16, are compared with um
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +107,13 @@ class _Problem:
 
 
 def start(model: Model, data: Measurements) -> State:
-    """Nominal values and, for a free frame, the rigid alignment of the readings with the nominal model."""
+    """Nominal values and, for a free frame, the rigid alignment of the readings with the nominal model.
+
+    Raises:
+        InputError: There are no rows.
+    """
+    if not len(data.positions):
+        raise InputError(f"{data.source}: no rows to fit")
     predicted = respond(model, data.experiment, model.nominal, derivative=False).position
     placement = align(data.positions, predicted) if model.frame_size else np.eye(4)
     return State(model.nominal, placement, np.ones(len(data.positions)))
@@ -133,37 +142,72 @@ def fit(
         NoConvergence: No convergence in the allowed steps; ``best`` holds the last fit.
     """
     free = np.ones(len(model.parameters), dtype=bool) if fitted is None else fitted
-    if not len(data.positions):
-        raise InputError(f"{data.source}: no rows to fit")
     problem = _Problem(model, data, noise, free_offsets, free)
-    found = _gauss_newton(problem, state)
+    found = _evaluate(problem, state)
     for _ in range(_MAX_REWEIGHTS):
-        limit = OUTLYING * found.scale
-        weights = (limit / np.maximum(found.z, limit)) ** 2
-        change = np.abs(np.log(weights / found.state.weights)).max()
-        if change < 0.02:
+        weights = _weights(found)
+        if _differ(weights, found.state.weights):
+            found = _settled(problem, _evaluate(problem, replace(found.state, weights=weights)), _FIRST_STEPS)
+            continue
+        found = _settled(problem, found, _MAX_STEPS)
+        if not _differ(_weights(found), weights):
             return found
-        found = _gauss_newton(problem, replace(found.state, weights=weights))
-    return found
+    return _settled(problem, found, _MAX_STEPS)
 
 
-def _gauss_newton(problem: _Problem, state: State) -> Fit:
-    """Gauss-Newton steps at fixed weights, damped (Marquardt) only where the plain step does not descend."""
-    current = _evaluate(problem, state)
+def _weights(found: Fit) -> Floats:
+    """Weights of the rows by their distances."""
+    limit = OUTLYING * found.scale
+    weights: Floats = (limit / np.maximum(found.z, limit)) ** 2
+    return weights
+
+
+def _differ(weights: Floats, others: Floats) -> bool:
+    return bool(np.abs(np.log(weights / others)).max() >= 0.02)
+
+
+def _settled(problem: _Problem, found: Fit, steps: int) -> Fit:
+    """Fit at fixed weights what can be identified where the fit ends; the rest is held at its nominal value.
+
+    A few steps are enough as long as the weights still change: bad rows are found before the fit has
+    followed them.
+    """
+    for _ in range(_MAX_CHOICES):
+        found = _gauss_newton(problem, _held(problem, found), steps)
+        known = _identifiable(problem, found)
+        settled = np.array_equal(known.kept, found.identifiability.kept)
+        found = replace(found, identifiability=known)
+        if settled:
+            return found
+    return _gauss_newton(problem, _held(problem, found), steps)
+
+
+def _held(problem: _Problem, found: Fit) -> Fit:
+    """The same with nominal values for the parameters that cannot be identified."""
+    dropped = [d.column for d in found.identifiability.dropped if problem.free[d.column]]
+    values = found.state.values.copy()
+    values[dropped] = problem.model.nominal[dropped]
+    if np.array_equal(values, found.state.values):
+        return found
+    return _evaluate(problem, replace(found.state, values=values), found.identifiability)
+
+
+def _gauss_newton(problem: _Problem, current: Fit, steps: int) -> Fit:
+    """Steps for the parameters that are kept, damped (Marquardt) only where the plain step does not descend."""
     damping = 0.0
-    for _ in range(_MAX_STEPS):
+    for _ in range(steps):
         step, size = _step(current, damping)
         spread = max(1.0, (current.chi2 / max(current.dof, 1)) ** 0.5)
         if size < _STEP * spread:
             return current
-        trial = _evaluate(problem, _moved(current, step))
-        if _chi2_seen_from(current, trial) < current.chi2 * (1.0 + 1e-12):
+        trial = _evaluate(problem, _moved(current, step), current.identifiability)
+        if _chi2_seen_from(current, trial) < current.chi2 * (1.0 + _ROUNDING):
             current, damping = trial, damping / 100 if damping > 1e-8 else 0.0
-        elif size**2 < 1e-9 * current.chi2:
+        elif size**2 < 10 * _ROUNDING * current.chi2:
             return current  # what is left to gain is lost in rounding
         else:
             damping = max(100 * damping, 1e-10)
-    if size < _NEARLY * spread:
+    if size < _NEARLY * spread or steps < _MAX_STEPS:
         return current
     raise NoConvergence(
         f"{current.data.source}: the fit still moves by {size:.2g} sigma after {_MAX_STEPS} steps; check units, "
@@ -179,8 +223,8 @@ def _chi2_seen_from(current: Fit, trial: Fit) -> float:
     return float(whitened @ whitened)
 
 
-def _evaluate(problem: _Problem, state: State) -> Fit:
-    """Residuals, whitening, columns and row distances at a state."""
+def _evaluate(problem: _Problem, state: State, known: Identifiability | None = None) -> Fit:
+    """Residuals, whitening, columns and row distances at a state; what is identifiable is decided if not given."""
     model, data, noise, free = problem.model, problem.data, problem.noise, problem.free
     response = respond(model, data.experiment, state.values)
     placement = state.base_T_measurement
@@ -190,21 +234,35 @@ def _evaluate(problem: _Problem, state: State) -> Fit:
     columns = operators.apply(response.derivative)
     columns[:, ~free] = 0.0
     whitened = operators.apply(residual)
-    spread = max(1.0, float(np.sqrt(whitened @ whitened / max(len(whitened), 1))))
-    limits = np.array([parameter.limit for parameter in model.parameters])
-    chosen = np.flatnonzero(free)
+    known = known or _decided(problem, response, operators, columns, whitened)
+    own = instrument_covariance(noise, response.scene.point, station)
+    z = _row_distances(operators, residual, own, state.weights)
+    scale = _robust_scale(z, len(columns), known.rank)
+    if problem.free_offsets:
+        z = _one_of_two(data.experiment, residual, z, OUTLYING * scale)
+    return Fit(model, data, state, response, residual, operators, columns, whitened, known, free, z, scale)
+
+
+def _identifiable(problem: _Problem, found: Fit) -> Identifiability:
+    """What can be identified at a state that was evaluated with another decision."""
+    return _decided(problem, found.response, found.whitening, found.columns, found.whitened)
+
+
+def _decided(
+    problem: _Problem, response: Response, operators: Whitening, columns: Floats, whitened: Floats
+) -> Identifiability:
+    """What the direct columns can show of the parameters that may move."""
     direct = columns if response.direct is response.derivative else operators.apply(response.direct)
+    spread = max(1.0, float(np.sqrt(whitened @ whitened / max(len(whitened), 1))))
+    limits = np.array([parameter.limit for parameter in problem.model.parameters])
+    chosen = np.flatnonzero(problem.free)
     found = independent_columns(triangle([direct[:, chosen]]), limits[chosen], spread)
-    known = Identifiability(
+    return Identifiability(
         chosen[found.kept],
         tuple(
             replace(d, column=int(chosen[d.column]), alike=tuple(chosen[list(d.alike)].tolist())) for d in found.dropped
         ),
     )
-    own = instrument_covariance(noise, response.scene.point, station)
-    z = _row_distances(operators, residual, own, state.weights)
-    scale = _robust_scale(z, len(columns), known.rank)
-    return Fit(model, data, state, response, residual, operators, columns, whitened, known, free, z, scale)
 
 
 def _station(noise: Noise, placement: Floats) -> Floats:
@@ -272,6 +330,26 @@ def _shift_distance(precision: Floats, score: Floats, own: Floats, weights: Floa
     spread = spread + own * (1.0 - 1.0 / weights)[:, :, None, None]
     square = np.einsum("gmi,gmi->gm", shift, np.linalg.solve(spread, shift[..., None])[..., 0])
     return np.where(alone, 0.0, np.sqrt(np.maximum(square, 0.0)))
+
+
+def _one_of_two(experiment: Experiment, residual: Floats, z: Floats, limit: float) -> Floats:
+    """Where two rows contradict each other and nothing else compares them, only one of them is accused.
+
+    Changes cannot tell which of the two is wrong; the one near where the model and the visit's other
+    markers put it is believed, if it is at least twice as near as the other.
+    """
+    z = z.copy()
+    key = experiment.row_visit * len(experiment.markers.names) + experiment.row_marker
+    group = np.unique(key, return_inverse=True)[1]
+    contradict = (np.bincount(group) == 2) & (np.bincount(group, z > limit) == 2)
+    rows = np.flatnonzero(contradict[group])
+    for one, other in rows[np.argsort(group[rows], kind="stable")].reshape(-1, 2):
+        beside = (experiment.row_visit == experiment.row_visit[one]) & (group != group[one])
+        expected = np.median(residual[beside], axis=0) if beside.any() else np.zeros(3)
+        distance = np.linalg.norm(residual[[one, other]] - expected, axis=1)
+        if distance.min() < 0.5 * distance.max():
+            z[[one, other][int(distance.argmin())]] = 0.0
+    return z
 
 
 def _robust_scale(z: Floats, rows: int, rank: int) -> float:

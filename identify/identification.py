@@ -10,9 +10,10 @@ import numpy as np
 
 from identify.arrays import Floats, Ints, frozen
 from identify.errors import NotIdentifiable
-from identify.experiment import Measurements
+from identify.experiment import Experiment, Measurements
 from identify.fit import Fit, State, fit, rows_that_do_not_fit, start
 from identify.identifiability import why_not
+from identify.lack_of_fit import LackOfFit, lack_of_fit
 from identify.model import Model, model_of, respond
 from identify.selection import load_changes, rows_of_visits, take_rows
 from identify.study import Study
@@ -74,7 +75,7 @@ class Identification:
         covariance_kind: ``stated noise`` or ``pose-clustered``.
         quantile: 97.5 % quantile that the intervals use.
         reference: absolute or differences.
-        p_value: Probability of a chi2 this large if model and stated noise are right.
+        lack_of_fit: Chi2 of the rows that fit, its degrees of freedom and its p value.
         worst: Rows that do not fit, worst first.
         heldout: Misfit on held-out visits, None below 10 visits.
         notes: What the user should know.
@@ -89,7 +90,7 @@ class Identification:
     covariance_kind: Literal["stated noise", "pose-clustered"]
     quantile: float
     reference: Literal["absolute", "differences"]
-    p_value: float
+    lack_of_fit: LackOfFit
     worst: np.ndarray
     heldout: Heldout | None
     notes: tuple[str, ...]
@@ -116,14 +117,18 @@ class Identification:
         return _misfit(self.data, self.fit.residual, self.reference, np.arange(len(self.fit.residual)))
 
     @property
+    def deflection(self) -> tuple[Misfit, Misfit]:
+        """Measured deflection and what the model leaves of it, without `worst`; empty without loads."""
+        rows = np.setdiff1d(np.arange(len(self.residuals)), self.worst)
+        measured = self.fit.response.position + self.residuals
+        before = _misfit(self.data, measured, "differences", rows)
+        return before, _misfit(self.data, self.residuals, "differences", rows)
+
+    @property
     def compensated_percent(self) -> float | None:
         """Share of the measured deflection that the model takes away, per cent; None without loads."""
-        measured = self.fit.response.position + self.fit.residual
-        before, _ = load_changes(self.data.experiment, measured)
-        after, _ = load_changes(self.data.experiment, self.fit.residual)
-        if not len(before):
-            return None
-        return float(100.0 * (1.0 - np.sqrt((after**2).sum() / (before**2).sum())))
+        before, after = self.deflection
+        return float(100.0 * (1.0 - after.rms / before.rms)) if len(before.error) else None
 
 
 def identify(study: Study, data: Measurements, *, seed: int = 0) -> Identification:
@@ -145,9 +150,10 @@ def identify(study: Study, data: Measurements, *, seed: int = 0) -> Identificati
     found, reference, notes = _choose_reference(study, model, data)
     _check_enough(found)
     worst = rows_that_do_not_fit(found)
-    covariance, kind, quantile, p_value = _uncertainty(found)
+    lack = lack_of_fit(found, worst)
+    covariance, kind, quantile = _uncertainty(found, lack)
     offsets, kept = _offsets_share(found, study)
-    notes = (*notes, *_notes(found, kind, worst))
+    notes = (*notes, *_notes(found, kind, lack, worst))
     heldout = _heldout(study, found, reference, worst, seed)
     values = found.state.values.copy()
     if model.frame_size:
@@ -162,7 +168,7 @@ def identify(study: Study, data: Measurements, *, seed: int = 0) -> Identificati
         covariance_kind=kind,
         quantile=quantile,
         reference=reference,
-        p_value=p_value,
+        lack_of_fit=lack,
         worst=worst,
         heldout=heldout,
         notes=notes,
@@ -186,10 +192,15 @@ def _choose_reference(
         notes = ("link masses are unknown: self-weight is left out",)
     absolute = fit(model, data, study.noise, start(model, data))
     trusts_geometry = any(effect.name in {"geometry", "transmission_error"} for effect in model.effects)
-    if wanted == "absolute" or trusts_geometry or not (loaded and elastic) or _p_value(absolute) >= _REJECTED:
+    if wanted == "absolute" or trusts_geometry or not (loaded and elastic) or not _is_rejected(absolute):
         return absolute, "absolute", notes
     note = "absolute readings contradict the model (geometry is not in it): only changes between loads are used"
     return _fit_differences(study, model, data, absolute.state), "differences", (note,)
+
+
+def _is_rejected(found: Fit) -> bool:
+    """True if the rows that fit contradict model and stated noise."""
+    return lack_of_fit(found, rows_that_do_not_fit(found)).p_value < _REJECTED
 
 
 def _compares_loads(data: Measurements) -> bool:
@@ -248,26 +259,19 @@ def _check_enough(found: Fit) -> None:
         raise NotIdentifiable(f"{found.data.source}: no parameter can be identified ({reasons})", names)
 
 
-def _p_value(found: Fit) -> float:
-    from scipy.stats import chi2
-
-    return float(chi2.sf(found.chi2, max(found.dof, 1)))
-
-
-def _uncertainty(found: Fit) -> tuple[Floats, Literal["stated noise", "pose-clustered"], float, float]:
-    """Covariance of all parameters, its kind, the quantile of the intervals and the fit's p value."""
+def _uncertainty(found: Fit, lack: LackOfFit) -> tuple[Floats, Literal["stated noise", "pose-clustered"], float]:
+    """Covariance of all parameters, its kind and the quantile of the intervals."""
     from scipy.stats import norm, t
 
-    p_value = _p_value(found)
     kind: Literal["stated noise", "pose-clustered"] = "stated noise"
     quantile = float(norm.ppf(0.975))
-    if p_value >= _REJECTED:
+    if lack.p_value >= _REJECTED:
         covariance = stated_covariance(found)
     else:
         kind = "pose-clustered"
         covariance, clusters = visit_covariance(found)
         quantile = float(t.ppf(0.975, max(clusters - 1, 1)))
-    return covariance + load_share(found), kind, quantile, p_value
+    return covariance + load_share(found), kind, quantile
 
 
 def _offsets_share(found: Fit, study: Study) -> tuple[Floats, Ints]:
@@ -279,11 +283,11 @@ def _offsets_share(found: Fit, study: Study) -> tuple[Floats, Ints]:
     return visit_covariance(placed)[0], kept
 
 
-def _notes(found: Fit, kind: str, worst: np.ndarray) -> tuple[str, ...]:
+def _notes(found: Fit, kind: str, lack: LackOfFit, worst: np.ndarray) -> tuple[str, ...]:
     notes = []
     if kind == "pose-clustered":
         notes.append(
-            f"chi2 {found.chi2:.4g} with {found.dof} degrees of freedom rejects model or stated noise; "
+            f"chi2 {lack.chi2:.4g} with {lack.dof} degrees of freedom rejects model or stated noise; "
             "intervals come from the scatter between poses"
         )
     if found.data.quaternions is not None:
@@ -307,13 +311,22 @@ def _heldout(study: Study, found: Fit, reference: str, worst: np.ndarray, seed: 
     present = np.unique(experiment.row_visit)
     if len(present) < _HELDOUT_LEAST:
         return None
-    shuffled = np.random.default_rng(seed).permutation(present)
+    shuffled = np.random.default_rng(seed).permutation(present[_by_joint_values(experiment, present)])
     judged = np.zeros(len(experiment.visits), dtype=bool)
     judged[shuffled[: round(_HELDOUT_SHARE * len(present))]] = True
     fine = np.ones(len(experiment.row_visit), dtype=bool)
     fine[worst] = False
     misfit = heldout_misfit(study, found, reference, judged, fine)
     return Heldout(misfit, int(judged.sum())) if len(misfit.error) else None
+
+
+def _by_joint_values(experiment: Experiment, visits: Ints) -> Ints:
+    """Order of visits that their names have no part in."""
+    first = np.zeros(len(experiment.visits), dtype=np.int64)
+    first[experiment.shot_visit[::-1]] = np.arange(len(experiment.shot_visit))[::-1]
+    q = experiment.q[experiment.shot_pose[first[visits]]]
+    order: Ints = np.lexsort(q.T[::-1])
+    return order
 
 
 def heldout_misfit(study: Study, found: Fit, reference: str, judged: np.ndarray, fine: np.ndarray) -> Misfit:

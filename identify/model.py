@@ -18,6 +18,7 @@ from identify.units import MM, MRAD
 
 __all__ = ["Model", "Response", "model_of", "respond", "without_nuisance"]
 
+_MARKER_LIMIT = 5.0  # mm; markers are better known than this without any fit
 _NUDGE = 1e-3  # mm or mrad
 _FRAME = (*((axis, "mm", MM) for axis in "xyz"), *((f"r{axis}", "mrad", MRAD) for axis in "xyz"))
 
@@ -129,7 +130,9 @@ def _frame_parameters() -> tuple[Parameter, ...]:
 def _marker_parameters(study: Study) -> tuple[Parameter, ...]:
     """Correction of every marker position, in its own frame."""
     return tuple(
-        Parameter(f"marker.{name}.{axis}", "mm", MM, nuisance=True) for name in study.markers.names for axis in "xyz"
+        Parameter(f"marker.{name}.{axis}", "mm", MM, nuisance=True, limit=_MARKER_LIMIT)
+        for name in study.markers.names
+        for axis in "xyz"
     )
 
 

@@ -46,9 +46,9 @@ def identification_json(result: Identification) -> dict[str, Any]:
             {"name": found.model.names[dropped.column], "why": why_not(found.model, dropped)}
             for dropped in _dropped(result)
         ],
-        "chi2": found.chi2,
-        "dof": found.dof,
-        "p_value": result.p_value,
+        "chi2": result.lack_of_fit.chi2,
+        "dof": result.lack_of_fit.dof,
+        "p_value": result.lack_of_fit.p_value,
         "robust_scale": found.scale,
         "residual": {"rms_mm": result.misfit.rms / MM, "max_mm": result.misfit.maximum / MM, **_by(result)},
         "heldout": None
@@ -58,6 +58,7 @@ def identification_json(result: Identification) -> dict[str, Any]:
             "max_mm": heldout.misfit.maximum / MM,
             "poses": heldout.visits,
         },
+        "deflection": {"rms_mm": result.deflection[0].rms / MM, "max_mm": result.deflection[0].maximum / MM},
         "compensated_percent": result.compensated_percent,
         "worst": [_bad_row(result, int(row)) for row in result.worst],
         "ignored_columns": list(data.ignored_columns),

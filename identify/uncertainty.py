@@ -11,7 +11,7 @@ from identify.fit import Fit
 from identify.loads import LoadCase
 from identify.model import respond
 
-__all__ = ["load_share", "stated_covariance", "visit_covariance"]
+__all__ = ["load_changes_by_sigma", "load_share", "stated_covariance", "visit_covariance"]
 
 
 def stated_covariance(found: Fit) -> Floats:
@@ -51,13 +51,19 @@ def load_share(found: Fit) -> Floats:
     The readings move by ``dy/dm dm``; the estimate follows by ``(X'X)^-1 X'`` of the whitened change.
     """
     inverse, columns, _ = _pieces(found)
-    total = np.zeros_like(inverse)
+    changes = inverse @ (columns.T @ load_changes_by_sigma(found))
+    return _spread(found, changes @ changes.T)
+
+
+def load_changes_by_sigma(found: Fit) -> Floats:
+    """Whitened change of the readings by one sigma of each uncertain load number, (K, u)."""
+    changes = np.zeros((len(found.whitened), 0))
     if found.data.experiment.wrench is None:
         for index, load in enumerate(found.data.experiment.loads):
             for nudged, sigma in _uncertain(load):
-                change = inverse @ (columns.T @ found.whitening.apply(_change(found, index, nudged))) * sigma
-                total += np.outer(change, change)
-    return _spread(found, total)
+                change = found.whitening.apply(_change(found, index, nudged)) * sigma
+                changes = np.column_stack([changes, change])
+    return changes
 
 
 def _uncertain(load: LoadCase) -> list[tuple[LoadCase, float]]:
