@@ -19,9 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from identify.arrays import Floats, Ints
-from identify.kinematics import Frames
+from identify.kinematics import Frames, forward
+from identify.robot import Robot
 
-__all__ = ["Springs", "cross", "joint_springs", "load_torque", "motion", "self_weight_torque"]
+__all__ = ["Springs", "cross", "joint_springs", "link_springs", "load_torque", "motion", "self_weight_torque"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,28 @@ class Springs:
 def joint_springs(frames: Frames) -> Springs:
     """The springs of the joints themselves, one a joint."""
     return Springs(frames.axis, frames.origin, frames.robot.prismatic, np.arange(frames.robot.n))
+
+
+def link_springs(frames: Frames) -> Springs:
+    """Six springs at the distal end of every link, base included: x, y, z sliding, then x, y, z turning.
+
+    Link i (0 is the base, n carries the flange) ends where joint i + 1 begins, or at the flange. Its frame moves
+    with it and is, at zero joint values, turned from the base by ``robot.link_rotations[i]``.
+    """
+    robot = frames.robot
+    rotation = np.concatenate([frames.rotation, frames.flange_rotation[:, None]], axis=1) @ _link_turns(robot)
+    origin = np.concatenate([frames.origin, frames.flange_origin[:, None]], axis=1)
+    axis = np.tile(rotation.swapaxes(2, 3), (1, 1, 2, 1)).reshape(len(origin), -1, 3)
+    slides = np.tile(np.repeat([True, False], 3), robot.n + 1)
+    return Springs(axis, np.repeat(origin, 6, axis=1), slides, np.repeat(np.arange(robot.n + 1), 6))
+
+
+def _link_turns(robot: Robot) -> Floats:
+    """(n + 1, 3, 3) link frames seen from the joint frame (or flange) at which each link ends."""
+    start = forward(robot, np.zeros((1, robot.n)))
+    ends = np.concatenate([start.rotation[0], start.flange_rotation])
+    turns: Floats = ends.swapaxes(1, 2) @ robot.link_rotations
+    return turns
 
 
 def motion(springs: Springs, points: Floats) -> Floats:

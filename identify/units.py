@@ -21,4 +21,5 @@ SI_OF = {
     "mrad": MRAD,
     "urad/Nm": URAD,
     "um/N": UM,
+    "urad/N": URAD,
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from identify.effects.base import Effect, Parameter, Scene, build_scene
-from identify.effects.compliance import joint_compliance
+from identify.effects.compliance import joint_compliance, link_compliance
 from identify.effects.geometry import geometry
 from identify.errors import InputError
 from identify.robot import Robot
@@ -15,6 +15,7 @@ __all__ = ["REGISTRY", "Effect", "Parameter", "Scene", "bind_effects", "build_sc
 #: Name of an effect -> ``bind(robot, where, flange)``.
 REGISTRY: dict[str, Callable[[Robot, tuple[str, ...], bool], Effect]] = {
     "joint_compliance": lambda robot, where, flange: joint_compliance(robot, where),
+    "link_compliance": lambda robot, where, flange: link_compliance(robot, where),
     "geometry": lambda robot, where, flange: geometry(robot, where, flange=flange),
 }
 

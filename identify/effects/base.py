@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -17,9 +18,9 @@ from identify.experiment import Experiment
 from identify.kinematics import Frames
 from identify.loads import LoadCase
 from identify.robot import Robot
-from identify.springs import joint_springs, load_torque, motion, self_weight_torque
+from identify.springs import Springs, joint_springs, link_springs, load_torque, motion, self_weight_torque
 
-__all__ = ["Effect", "Parameter", "Scene", "build_scene"]
+__all__ = ["Effect", "Fields", "Parameter", "Scene", "build_scene"]
 
 
 @dataclass(frozen=True)
@@ -44,27 +45,63 @@ class Parameter:
 
 
 @dataclass(frozen=True, eq=False)
+class Fields:
+    """The two fields of a set of springs, base frame.
+
+    Attributes:
+        motion: (R, s, 3) motion of each row's marker per unit of each spring; zero for targets on the base.
+        torque: (S, s) torque or force that load and self-weight put on each spring in each shot.
+    """
+
+    motion: Floats
+    torque: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
-    """An experiment with its fields, base frame, SI.
+    """An experiment on a robot; the fields of its springs are computed when they are first asked for.
 
     Attributes:
         experiment: The conditions.
         frames: Joint frames of the C poses of the experiment.
-        point: (R, 3) undeflected marker of each row, m.
-        motion: (R, n, 3) motion of that marker per unit of each joint; zero for targets on the base.
-        torque: (S, n) torque or force that load and self-weight put on each joint.
+        marker: (C, M, 3) undeflected markers in all poses, base frame, m.
+        self_weight: The weight of links and tool counts.
     """
 
     experiment: Experiment
     frames: Frames
-    point: Floats
-    motion: Floats
-    torque: Floats
+    marker: Floats
+    self_weight: bool
 
     @property
     def row_pose(self) -> np.ndarray:
         """(R,) pose of each row."""
         return np.asarray(self.experiment.shot_pose[self.experiment.row_shot])
+
+    @cached_property
+    def point(self) -> Floats:
+        """(R, 3) undeflected marker of each row, m."""
+        point: Floats = self.marker[self.row_pose, self.experiment.row_marker]
+        return point
+
+    @cached_property
+    def joints(self) -> Fields:
+        """Fields of the n joint springs."""
+        return self._fields(joint_springs)
+
+    @cached_property
+    def links(self) -> Fields:
+        """Fields of the 6 (n + 1) link springs, see `identify.springs.link_springs`."""
+        return self._fields(link_springs)
+
+    def _fields(self, springs_of: Callable[[Frames], Springs]) -> Fields:
+        experiment, springs = self.experiment, springs_of(self.frames)
+        moves = motion(springs, self.marker)
+        moves[:, experiment.markers.on_base] = 0.0
+        torque = _load_torque(experiment, self.frames, springs_of)
+        if self.self_weight:
+            torque += self_weight_torque(springs, self.frames)[experiment.shot_pose]
+        return Fields(moves[self.row_pose, experiment.row_marker], torque)
 
 
 Displacement = Callable[[Scene, Floats], Floats]
@@ -94,7 +131,7 @@ class Effect:
 
 
 def build_scene(experiment: Experiment, frames: Frames, positions: Floats, *, self_weight: bool) -> Scene:
-    """Compute all fields of an experiment in one pass.
+    """The scene of an experiment.
 
     Args:
         experiment: The conditions.
@@ -105,31 +142,27 @@ def build_scene(experiment: Experiment, frames: Frames, positions: Floats, *, se
     markers = experiment.markers
     points = np.stack([frames.point(local) for local in positions], axis=1)
     points[:, markers.on_base] = positions[markers.on_base]
-    springs = joint_springs(frames)
-    moves = motion(springs, points)
-    moves[:, markers.on_base] = 0.0
-    row_pose = experiment.shot_pose[experiment.row_shot]
-    torque = _load_torque(experiment, frames)
-    if self_weight:
-        torque += self_weight_torque(springs, frames)[experiment.shot_pose]
-    return Scene(
-        experiment, frames, points[row_pose, experiment.row_marker], moves[row_pose, experiment.row_marker], torque
-    )
+    return Scene(experiment, frames, points, self_weight)
 
 
-def _load_torque(experiment: Experiment, frames: Frames) -> Floats:
-    """Torque of what hangs on the flange or of the measured wrench, (S, n)."""
-    torque = np.zeros((len(experiment.shot_load), frames.robot.n))
+def _load_torque(experiment: Experiment, frames: Frames, springs_of: Callable[[Frames], Springs]) -> Floats:
+    """Torque of what hangs on the flange or of the measured wrench, (S, s)."""
+    torque: Floats | None = None
     for index, load in enumerate(experiment.loads):
         shots = np.flatnonzero((experiment.shot_load == index) & ~experiment.shot_unloaded)
         if len(shots):
             measured = None if experiment.wrench is None else experiment.wrench[shots]
-            torque[shots] = _torque_of(load, measured, _at(frames, experiment.shot_pose[shots]))
+            there = _at(frames, experiment.shot_pose[shots])
+            part = load_torque(springs_of(there), *_wrench(load, measured, there))
+            torque = np.zeros((len(experiment.shot_load), part.shape[1])) if torque is None else torque
+            torque[shots] = part
+    if torque is None:
+        return np.zeros((len(experiment.shot_load), len(springs_of(_at(frames, np.arange(1))).slides)))
     return torque
 
 
-def _torque_of(load: LoadCase, measured: Floats | None, frames: Frames) -> Floats:
-    """Torque of one load case (or of measured wrenches (S, 6) in the flange frame) in S poses."""
+def _wrench(load: LoadCase, measured: Floats | None, frames: Frames) -> tuple[Floats, Floats, Floats]:
+    """Point, force and moment (S, 3) of a load case, or of measured wrenches (S, 6) in the flange frame."""
     robot = frames.robot
     if measured is not None:
         force, moment = measured[:, :3], measured[:, 3:]
@@ -139,9 +172,7 @@ def _torque_of(load: LoadCase, measured: Floats | None, frames: Frames) -> Float
         force = turn @ load.force + load.mass * robot.gravity_base
         moment = turn @ load.moment
     shape = frames.flange_origin.shape
-    return load_torque(
-        joint_springs(frames), frames.point(load.attach), np.broadcast_to(force, shape), np.broadcast_to(moment, shape)
-    )
+    return frames.point(load.attach), np.broadcast_to(force, shape), np.broadcast_to(moment, shape)
 
 
 def _at(frames: Frames, index: np.ndarray) -> Frames:
