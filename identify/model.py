@@ -96,7 +96,8 @@ def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapp
     Raises:
         InputError: Unknown effect, place or parameter name.
     """
-    bound = bind_effects(study.effects if effects is None else effects, study.robot, flange=not study.markers_fitted)
+    names = study.effects if effects is None else effects
+    bound = bind_effects(names, study.robot, options=study.options, flange=not study.markers_fitted)
     frame = _frame_parameters() if study.frame_free else ()
     markers = _marker_parameters(study) if study.markers_fitted else ()
     parameters = (*frame, *markers, *(parameter for effect in bound for parameter in effect.parameters))

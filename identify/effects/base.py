@@ -7,9 +7,11 @@ design, identification and compensation all use the same two functions.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +22,7 @@ from identify.loads import LoadCase
 from identify.robot import Robot
 from identify.springs import Springs, joint_springs, link_springs, load_torque, motion, self_weight_torque
 
-__all__ = ["Effect", "Fields", "Parameter", "Scene", "build_scene"]
+__all__ = ["Binding", "Effect", "Fields", "Parameter", "Scene", "build_scene"]
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,23 @@ class Parameter:
     nominal: float = 0.0
     nuisance: bool = False
     limit: float = float("inf")
+
+
+@dataclass(frozen=True, eq=False)
+class Binding:
+    """What an effect is bound to.
+
+    Attributes:
+        robot: The robot.
+        where: Places of the effect; empty for all.
+        options: The table ``[model.<effect>]`` of the study.
+        flange: The flange has geometric errors of its own (marker positions are exact).
+    """
+
+    robot: Robot
+    where: tuple[str, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    flange: bool = False
 
 
 @dataclass(frozen=True, eq=False)

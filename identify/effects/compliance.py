@@ -7,14 +7,16 @@ markers by ``c (D_s t_r + D_r t_s)``, or by ``c D_s t_s`` where s = r (Klimchik,
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from identify.arrays import Floats
-from identify.effects.base import Effect, Fields, Parameter, Scene
+from identify.effects.base import Binding, Effect, Fields, Parameter, Scene
 from identify.effects.places import chain_places, joint_places
+from identify.errors import InputError
 from identify.robot import Robot
 from identify.units import SI_OF
 
@@ -25,6 +27,7 @@ LIMIT = 1000.0  # urad/Nm or um/N: a hundred times the softest joint of an indus
 BEAM = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 5), (6, 6), (2, 6), (3, 5))
 SYMMETRIC = tuple((i, j) for i in range(1, 7) for j in range(i, 7))
 FULL = tuple((i, j) for i in range(1, 7) for j in range(1, 7))
+TEMPLATES = {"beam": BEAM, "symmetric": SYMMETRIC, "full": FULL}
 
 
 @dataclass(frozen=True)
@@ -74,17 +77,17 @@ def spring_effect(
     return Effect(name, parameters, displacement, derivative, why_zero)
 
 
-def joint_compliance(robot: Robot, where: tuple[str, ...]) -> Effect:
+def joint_compliance(binding: Binding) -> Effect:
     """One linear spring about (along) the axis of each joint: gears, drives, bearings.
 
     Parameters ``joint_compliance.j1 ...``, urad/Nm for turning and um/N for sliding joints. Typical:
     0.1 to 5 urad/Nm for arms of 200 kg payload, 10 to 50 for arms of 5 to 10 kg.
 
     Args:
-        robot: The robot.
-        where: Places ``j1 ... jn``; empty for all.
+        binding: Robot and places ``j1 ... jn``.
     """
-    index = joint_places("joint_compliance", robot, where)
+    robot = binding.robot
+    index = joint_places("joint_compliance", robot, binding.where)
     terms = tuple(Term(f"joint_compliance.j{j + 1}", j, j, "um/N" if robot.prismatic[j] else "urad/Nm") for j in index)
 
     def why_zero(parameter: int) -> str:
@@ -97,27 +100,23 @@ def joint_compliance(robot: Robot, where: tuple[str, ...]) -> Effect:
     return spring_effect("joint_compliance", terms, lambda scene: scene.joints, why_zero)
 
 
-def link_compliance(
-    robot: Robot, where: tuple[str, ...], elements: dict[str, tuple[tuple[int, int], ...]] | None = None
-) -> Effect:
+def link_compliance(binding: Binding) -> Effect:
     """The 6x6 compliance of links at their distal ends, base included (link0).
 
     Parameters ``link_compliance.link<i>.k<ab>``: deflection a (1-3 along, 4-6 about local x, y, z; x is the beam
     axis) per load b; ``k26`` and ``k62`` are one parameter unless an element list names both. Units um/N, urad/Nm
     and urad/N. Typical of a 200 kg arm: 0.002 to 0.02 um/N, 0.02 to 0.2 urad/Nm.
 
+    Options: ``template = "beam"`` (eq. 13, default), ``"symmetric"`` (21 elements), ``"full"`` (36) or a list such as
+    ``["k11", "k26"]``; ``[model.link_compliance.link2] template = ...`` for one link.
+
     Args:
-        robot: The robot.
-        where: Places ``link0 ... link<n>``; empty for all.
-        elements: Elements by place; the beam template (eq. 13) where a place is missing.
+        binding: Robot, places ``link0 ... link<n>`` and options.
     """
-    index = chain_places("link_compliance", "link", robot.n + 1, where, first=0)
-    chosen = {} if elements is None else elements
-    terms = tuple(
-        _link_term(link, element, chosen.get(f"link{link}", BEAM))
-        for link in index
-        for element in chosen.get(f"link{link}", BEAM)
-    )
+    robot = binding.robot
+    index = chain_places("link_compliance", "link", robot.n + 1, binding.where, first=0)
+    templates = {link: link_template(binding.options, link) for link in index}
+    terms = tuple(_link_term(link, element, template) for link, template in templates.items() for element in template)
 
     def why_zero(parameter: int) -> str:
         term = terms[parameter]
@@ -125,6 +124,24 @@ def link_compliance(
         return f"no load in these data acts {what} at the end of link {term.second // 6}, or no marker answers to it"
 
     return spring_effect("link_compliance", terms, lambda scene: scene.links, why_zero)
+
+
+def link_template(options: Mapping[str, Any], link: int) -> tuple[tuple[int, int], ...]:
+    """Elements (a, b) of the compliance matrix of one link, from the options of `link_compliance`.
+
+    Raises:
+        InputError: A template that does not exist, or an element that is none of k11 ... k66.
+    """
+    own = options.get(f"link{link}", {})
+    chosen = own.get("template", options.get("template", "beam")) if isinstance(own, Mapping) else own
+    if isinstance(chosen, str) and chosen in TEMPLATES:
+        return TEMPLATES[chosen]
+    names = {f"k{a}{b}": (a, b) for a, b in FULL}
+    if isinstance(chosen, list | tuple) and chosen and all(name in names for name in chosen):
+        return tuple(dict.fromkeys(names[name] for name in chosen))
+    raise InputError(
+        f"[model.link_compliance] template = {chosen!r}: allowed are {', '.join(TEMPLATES)} or a list of k11 ... k66"
+    )
 
 
 def _link_term(link: int, element: tuple[int, int], template: tuple[tuple[int, int], ...]) -> Term:
