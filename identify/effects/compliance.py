@@ -68,9 +68,9 @@ def spring_effect(
 
     def displacement(scene: Scene, values: Floats) -> Floats:
         fields, size = fields_of(scene), scale * values
-        yielded = np.zeros_like(fields.torque)
-        np.add.at(yielded, (slice(None), first), fields.torque[:, second] * size)
-        np.add.at(yielded, (slice(None), second[mutual]), fields.torque[:, first[mutual]] * size[mutual])
+        springs = np.arange(fields.torque.shape[1])
+        yielded = (fields.torque[:, second] * size) @ (first[:, None] == springs)
+        yielded += (fields.torque[:, first[mutual]] * size[mutual]) @ (second[mutual][:, None] == springs)
         moved: Floats = np.einsum("rsi,rs->ri", fields.motion, yielded[scene.experiment.row_shot])
         return moved
 

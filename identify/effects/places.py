@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from identify.errors import InputError
 from identify.robot import Robot
 
