@@ -8,6 +8,7 @@ from typing import Any
 from identify.effects.base import Binding, Effect, Fields, Parameter, Scene, build_scene
 from identify.effects.compliance import joint_compliance, link_compliance
 from identify.effects.geometry import geometry
+from identify.effects.special_compliance import base_compliance, joint_cross_compliance, tool_compliance
 from identify.errors import InputError
 from identify.robot import Robot
 
@@ -15,9 +16,12 @@ __all__ = ["REGISTRY", "Binding", "Effect", "Fields", "Parameter", "Scene", "bin
 
 #: Name of an effect -> how it is bound to a robot.
 REGISTRY: dict[str, Callable[[Binding], Effect]] = {
+    "base_compliance": base_compliance,
     "geometry": geometry,
     "joint_compliance": joint_compliance,
+    "joint_cross_compliance": joint_cross_compliance,
     "link_compliance": link_compliance,
+    "tool_compliance": tool_compliance,
 }
 
 

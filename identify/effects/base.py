@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,9 +20,12 @@ from identify.experiment import Experiment
 from identify.kinematics import Frames
 from identify.loads import LoadCase
 from identify.robot import Robot
-from identify.springs import Springs, joint_springs, link_springs, load_torque, motion, self_weight_torque
+from identify.springs import Springs, base_springs, joint_springs, link_springs, load_torque, motion, self_weight_torque
 
-__all__ = ["Binding", "Effect", "Fields", "Parameter", "Scene", "build_scene"]
+__all__ = ["Binding", "Effect", "Fields", "Parameter", "Scene", "SpringSet", "Term", "build_scene"]
+
+#: Springs that a scene knows: one a joint, six a link (`link_springs`), twelve at the foot (`base_springs`).
+SpringSet = Literal["joints", "links", "base"]
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,17 @@ class Parameter:
     limit: float = float("inf")
 
 
+@dataclass(frozen=True)
+class Term:
+    """One compliance: the deflection of spring ``first`` per load on spring ``second``, and back if ``mutual``."""
+
+    name: str
+    first: int
+    second: int
+    unit: str
+    mutual: bool = True
+
+
 @dataclass(frozen=True, eq=False)
 class Binding:
     """What an effect is bound to.
@@ -55,12 +69,14 @@ class Binding:
         where: Places of the effect; empty for all.
         options: The table ``[model.<effect>]`` of the study.
         flange: The flange has geometric errors of its own (marker positions are exact).
+        others: The other effects of the model, for effects that lean on their parameters.
     """
 
     robot: Robot
     where: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     flange: bool = False
+    others: tuple[Effect, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +129,16 @@ class Scene:
         """Fields of the 6 (n + 1) link springs, see `identify.springs.link_springs`."""
         return self._fields(link_springs)
 
+    @cached_property
+    def base(self) -> Fields:
+        """Fields of the twelve springs at the foot, see `identify.springs.base_springs`."""
+        return self._fields(base_springs)
+
+    def fields(self, springs: SpringSet) -> Fields:
+        """Fields of a named set of springs."""
+        found: Fields = getattr(self, springs)
+        return found
+
     def _fields(self, springs_of: Callable[[Frames], Springs]) -> Fields:
         experiment, springs = self.experiment, springs_of(self.frames)
         moves = motion(springs, self.marker)
@@ -133,11 +159,15 @@ class Effect:
     Attributes:
         name: Its name in study files.
         parameters: Its p unknowns.
-        displacement: ``(scene, values) -> (R, 3)`` m, base frame; values in the parameters' units.
-        derivative: ``(scene, values) -> (R, 3, p)`` m per unit.
+        displacement: ``(scene, values) -> (R, 3)`` m, base frame; values in the parameters' units, followed by the
+            values of the b borrowed ones.
+        derivative: ``(scene, values) -> (R, 3, p + b)`` m per unit; the last b add to the columns of their owners.
         yields: True if it answers to loads (only then do differences between loads show it).
         adjust: ``(robot, values) -> robot`` for effects that change the robot itself.
         why_zero: Index of a parameter -> why no row may depend on it.
+        borrowed: Names of b parameters of other effects that it depends on as well.
+        springs: The set of springs that its terms count in, if it is a sum over pairs of springs.
+        terms: These pairs, one a parameter.
     """
 
     name: str
@@ -147,6 +177,9 @@ class Effect:
     why_zero: Callable[[int], str]
     yields: bool = True
     adjust: Callable[[Robot, Floats], Robot] | None = None
+    borrowed: tuple[str, ...] = ()
+    springs: SpringSet | None = None
+    terms: tuple[Term, ...] = ()
 
 
 def build_scene(experiment: Experiment, frames: Frames, positions: Floats, *, self_weight: bool) -> Scene:

@@ -8,19 +8,18 @@ markers by ``c (D_s t_r + D_r t_s)``, or by ``c D_s t_s`` where s = r (Klimchik,
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from identify.arrays import Floats
-from identify.effects.base import Binding, Effect, Fields, Parameter, Scene
+from identify.effects.base import Binding, Effect, Parameter, Scene, SpringSet, Term
 from identify.effects.places import chain_places, joint_places
 from identify.errors import InputError
 from identify.robot import Robot
 from identify.units import SI_OF
 
-__all__ = ["Term", "joint_compliance", "link_compliance", "spring_effect"]
+__all__ = ["joint_compliance", "link_compliance", "spring_effect"]
 
 LIMIT = 1000.0  # urad/Nm or um/N: a hundred times the softest joint of an industrial arm
 #: Elements of a link's compliance matrix that a beam along local x has (eq. 13), as pairs of 1 ... 6.
@@ -30,26 +29,13 @@ FULL = tuple((i, j) for i in range(1, 7) for j in range(1, 7))
 TEMPLATES = {"beam": BEAM, "symmetric": SYMMETRIC, "full": FULL}
 
 
-@dataclass(frozen=True)
-class Term:
-    """One compliance: the deflection of spring ``first`` per load on spring ``second``, and back if ``mutual``."""
-
-    name: str
-    first: int
-    second: int
-    unit: str
-    mutual: bool = True
-
-
-def spring_effect(
-    name: str, terms: tuple[Term, ...], fields_of: Callable[[Scene], Fields], why_zero: Callable[[int], str]
-) -> Effect:
+def spring_effect(name: str, terms: tuple[Term, ...], springs: SpringSet, why_zero: Callable[[int], str]) -> Effect:
     """An effect that is linear in compliances of pairs of springs.
 
     Args:
         name: Name of the effect.
         terms: Its p compliances.
-        fields_of: Which springs of the scene the terms count.
+        springs: Which springs the terms count.
         why_zero: Reason for a column of zeros.
     """
     parameters = tuple(Parameter(term.name, term.unit, SI_OF[term.unit], limit=LIMIT) for term in terms)
@@ -59,7 +45,7 @@ def spring_effect(
     mutual = np.flatnonzero((first != second) & np.array([term.mutual for term in terms], dtype=bool))
 
     def derivative(scene: Scene, values: Floats) -> Floats:
-        fields, shot = fields_of(scene), scene.experiment.row_shot
+        fields, shot = scene.fields(springs), scene.experiment.row_shot
         columns = fields.motion[:, first] * (fields.torque[:, second] * scale)[shot][:, :, None]
         if len(mutual):
             back = (fields.torque[:, first[mutual]] * scale[mutual])[shot][:, :, None]
@@ -67,14 +53,14 @@ def spring_effect(
         return np.asarray(columns.swapaxes(1, 2))
 
     def displacement(scene: Scene, values: Floats) -> Floats:
-        fields, size = fields_of(scene), scale * values
-        springs = np.arange(fields.torque.shape[1])
-        yielded = (fields.torque[:, second] * size) @ (first[:, None] == springs)
-        yielded += (fields.torque[:, first[mutual]] * size[mutual]) @ (second[mutual][:, None] == springs)
+        fields, size = scene.fields(springs), scale * values
+        every = np.arange(fields.torque.shape[1])
+        yielded = (fields.torque[:, second] * size) @ (first[:, None] == every)
+        yielded += (fields.torque[:, first[mutual]] * size[mutual]) @ (second[mutual][:, None] == every)
         moved: Floats = np.einsum("rsi,rs->ri", fields.motion, yielded[scene.experiment.row_shot])
         return moved
 
-    return Effect(name, parameters, displacement, derivative, why_zero)
+    return Effect(name, parameters, displacement, derivative, why_zero, springs=springs, terms=terms)
 
 
 def joint_compliance(binding: Binding) -> Effect:
@@ -97,7 +83,7 @@ def joint_compliance(binding: Binding) -> Effect:
         action = "force along" if robot.prismatic[joint] else "torque on"
         return f"no load in these data puts a {action} joint {joint + 1}, or no marker moves with it"
 
-    return spring_effect("joint_compliance", terms, lambda scene: scene.joints, why_zero)
+    return spring_effect("joint_compliance", terms, "joints", why_zero)
 
 
 def link_compliance(binding: Binding) -> Effect:
@@ -123,7 +109,7 @@ def link_compliance(binding: Binding) -> Effect:
         what = f"{'about' if term.second % 6 > 2 else 'along'} local {'xyz'[term.second % 3]}"
         return f"no load in these data acts {what} at the end of link {term.second // 6}, or no marker answers to it"
 
-    return spring_effect("link_compliance", terms, lambda scene: scene.links, why_zero)
+    return spring_effect("link_compliance", terms, "links", why_zero)
 
 
 def link_template(options: Mapping[str, Any], link: int) -> tuple[tuple[int, int], ...]:
