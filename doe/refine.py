@@ -25,9 +25,9 @@ from doe.criteria import Criterion, Mean, MinimumEigenvalue, Volume, Worst
 from doe.feasible import floor_points
 from doe.observations import Observer
 from doe.symbolic_arm import heights_function, load_table
-from doe.threads import one_thread
 from identify.arrays import Floats, Ints, frozen
 from identify.errors import InputError
+from identify.threads import one_thread
 
 __all__ = ["Refinement", "can_refine", "refine"]
 

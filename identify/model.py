@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identify.arrays import Floats, frozen, rotation_of, skew
+from identify.arrays import Floats, Ints, frozen, rotation_of, skew
 from identify.effects import Effect, Parameter, Scene, bind_effects, build_scene
 from identify.errors import InputError
 from identify.experiment import Experiment
@@ -16,7 +16,7 @@ from identify.robot import Robot
 from identify.study import Study
 from identify.units import MM, MRAD
 
-__all__ = ["Model", "Response", "model_of", "respond", "without_nuisance"]
+__all__ = ["Model", "Response", "effect_columns", "model_of", "respond", "without_nuisance"]
 
 _NUDGE = 1e-3  # mm or mrad
 _FRAME = (*((axis, "mm", MM) for axis in "xyz"), *((f"r{axis}", "mrad", MRAD) for axis in "xyz"))
@@ -63,6 +63,15 @@ class Model:
         sizes = [len(effect.parameters) for effect in self.effects]
         ends = self.frame_size + self.marker_size + np.cumsum(sizes)
         return tuple(slice(int(end) - size, int(end)) for end, size in zip(ends, sizes, strict=True))
+
+    @property
+    def effect_inputs(self) -> tuple[Ints, ...]:
+        """Where the values stand that each effect takes: its own parameters, then those it borrows."""
+        names = self.names
+        return tuple(
+            np.array([*range(where.start, where.stop), *map(names.index, effect.borrowed)], dtype=np.int64)
+            for effect, where in zip(self.effects, self.effect_slices, strict=True)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +175,8 @@ def _deflected(model: Model, experiment: Experiment, values: Floats) -> tuple[Sc
     markers = marker_positions(model, experiment, values)
     scene = build_scene(experiment, forward(robot, experiment.q), markers, self_weight=model.self_weight)
     deflection = np.zeros_like(scene.point)
-    for effect, where in pairs:
-        deflection = deflection + effect.displacement(scene, values[where])
+    for effect, inputs in zip(model.effects, model.effect_inputs, strict=True):
+        deflection = deflection + effect.displacement(scene, values[inputs])
     return scene, deflection
 
 
@@ -212,14 +221,30 @@ def frame_displacement(model: Model, values: Floats) -> tuple[Floats, Floats]:
 
 def _derivative(model: Model, scene: Scene, position: Floats, values: Floats) -> Floats:
     """(R, 3, p); the turn of the frame parameters, which are small, is left out of the other columns."""
-    columns = np.empty((len(position), 3, len(model.parameters)))
+    columns = effect_columns(model, scene, values)
     if model.frame_size:
         columns[:, :, :3] = MM * np.eye(3)
         columns[:, :, 3:6] = -MRAD * skew(position)
     if model.marker_size:
         _marker_columns(columns[:, :, model.frame_size : model.frame_size + model.marker_size], scene)
-    for effect, where in zip(model.effects, model.effect_slices, strict=True):
-        columns[:, :, where] = effect.derivative(scene, values[where])
+    return columns
+
+
+def effect_columns(model: Model, scene: Scene, values: Floats) -> Floats:
+    """(R, 3, p) derivative of the displacement by the effects' parameters, m per unit; zero for frame and markers.
+
+    What an effect says about parameters that it borrows adds to their own columns.
+    """
+    columns = np.empty((len(scene.point), 3, len(model.parameters)))
+    columns[:, :, : model.frame_size + model.marker_size] = 0.0
+    lent = []
+    for effect, where, inputs in zip(model.effects, model.effect_slices, model.effect_inputs, strict=True):
+        part = effect.derivative(scene, values[inputs])
+        own = len(effect.parameters)
+        columns[:, :, where] = part[:, :, :own]
+        lent.append((inputs[own:], part[:, :, own:]))
+    for index, part in lent:
+        columns[:, :, index] += part
     return columns
 
 
