@@ -7,14 +7,15 @@ markers by ``c (D_s t_r + D_r t_s)``, or by ``c D_s t_s`` where s = r (Klimchik,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from identify.arrays import Floats
 from identify.effects.base import Binding, Effect, Parameter, Scene, SpringSet, Term
 from identify.effects.places import chain_places, joint_places
+from identify.effects.templates import Elements, check_link_options, link_constants, link_template
 from identify.errors import InputError
 from identify.robot import Robot
 from identify.units import SI_OF
@@ -22,11 +23,6 @@ from identify.units import SI_OF
 __all__ = ["joint_compliance", "link_compliance", "spring_effect"]
 
 LIMIT = 1000.0  # urad/Nm or um/N: a hundred times the softest joint of an industrial arm
-#: Elements of a link's compliance matrix that a beam along local x has (eq. 13), as pairs of 1 ... 6.
-BEAM = ((1, 1), (2, 2), (3, 3), (4, 4), (5, 5), (6, 6), (2, 6), (3, 5))
-SYMMETRIC = tuple((i, j) for i in range(1, 7) for j in range(i, 7))
-FULL = tuple((i, j) for i in range(1, 7) for j in range(1, 7))
-TEMPLATES = {"beam": BEAM, "symmetric": SYMMETRIC, "full": FULL}
 
 
 def spring_effect(name: str, terms: tuple[Term, ...], springs: SpringSet, why_zero: Callable[[int], str]) -> Effect:
@@ -93,14 +89,16 @@ def link_compliance(binding: Binding) -> Effect:
     axis) per load b; ``k26`` and ``k62`` are one parameter unless an element list names both. Units um/N, urad/Nm
     and urad/N. Typical of a 200 kg arm: 0.002 to 0.02 um/N, 0.02 to 0.2 urad/Nm.
 
-    Options: ``template = "beam"`` (eq. 13, default), ``"symmetric"`` (21 elements), ``"full"`` (36) or a list such as
-    ``["k11", "k26"]``; ``[model.link_compliance.link2] template = ...`` for one link.
+    Options: ``template = "beam"`` (eq. 13, default), ``"symmetric"`` (21 elements), ``"full"`` (36), a list such as
+    ``["k11", "k26"]`` or a 6x6 pattern; ``[model.link_compliance.link2] template = ...`` for one link;
+    ``[model.link_compliance.constants] link2.k22 = 0.003`` for elements that are there and not fitted.
 
     Args:
         binding: Robot, places ``link0 ... link<n>`` and options.
     """
     robot = binding.robot
     index = chain_places("link_compliance", "link", robot.n + 1, binding.where, first=0)
+    check_link_options(binding.options, robot.n + 1)
     templates = {link: link_template(binding.options, link) for link in index}
     terms = tuple(_link_term(link, element, template) for link, template in templates.items() for element in template)
 
@@ -109,28 +107,37 @@ def link_compliance(binding: Binding) -> Effect:
         what = f"{'about' if term.second % 6 > 2 else 'along'} local {'xyz'[term.second % 3]}"
         return f"no load in these data acts {what} at the end of link {term.second // 6}, or no marker answers to it"
 
-    return spring_effect("link_compliance", terms, "links", why_zero)
+    return _with_constants(spring_effect("link_compliance", terms, "links", why_zero), binding)
 
 
-def link_template(options: Mapping[str, Any], link: int) -> tuple[tuple[int, int], ...]:
-    """Elements (a, b) of the compliance matrix of one link, from the options of `link_compliance`.
+def _with_constants(effect: Effect, binding: Binding) -> Effect:
+    """The links with elements that are not fitted too: these displace, and no column is theirs."""
+    constants = link_constants(binding.options, binding.robot.n + 1)
+    held = tuple(_link_term(link, element, (element,)) for link, element in constants)
+    fitted = {parameter.name for parameter in effect.parameters}
+    for term in held:
+        if fitted & {term.name, _mirrored(term.name)}:
+            raise InputError(
+                f"[model.link_compliance.constants]: {term.name} stands in its link's template and is fitted"
+            )
+    if not held:
+        return effect
+    rest = spring_effect(effect.name, held, "links", effect.why_zero)
+    values = np.array(list(constants.values()))
 
-    Raises:
-        InputError: A template that does not exist, or an element that is none of k11 ... k66.
-    """
-    own = options.get(f"link{link}", {})
-    chosen = own.get("template", options.get("template", "beam")) if isinstance(own, Mapping) else own
-    if isinstance(chosen, str) and chosen in TEMPLATES:
-        return TEMPLATES[chosen]
-    names = {f"k{a}{b}": (a, b) for a, b in FULL}
-    if isinstance(chosen, list | tuple) and chosen and all(name in names for name in chosen):
-        return tuple(dict.fromkeys(names[name] for name in chosen))
-    raise InputError(
-        f"[model.link_compliance] template = {chosen!r}: allowed are {', '.join(TEMPLATES)} or a list of k11 ... k66"
-    )
+    def displacement(scene: Scene, fit: Floats) -> Floats:
+        moved: Floats = effect.displacement(scene, fit) + rest.displacement(scene, values)
+        return moved
+
+    return replace(effect, displacement=displacement)
 
 
-def _link_term(link: int, element: tuple[int, int], template: tuple[tuple[int, int], ...]) -> Term:
+def _mirrored(name: str) -> str:
+    """Name of the mirrored element: ``...k62`` for ``...k26``."""
+    return f"{name[:-2]}{name[:-3:-1]}"
+
+
+def _link_term(link: int, element: tuple[int, int], template: Elements) -> Term:
     """The term of one matrix element; one-sided where the template names the mirrored element too."""
     a, b = element
     unit = {0: "um/N", 1: "urad/N", 2: "urad/Nm"}[(a > 3) + (b > 3)]
