@@ -23,4 +23,6 @@ SI_OF = {
     "urad/Nm": URAD,
     "um/N": UM,
     "urad/N": URAD,
+    "N/mm": 1e3,
+    "N": 1.0,
 }

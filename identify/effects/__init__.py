@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from identify.effects.base import Binding, Effect, Fields, Parameter, Scene, build_scene
+from identify.effects.compensator import gravity_compensator
 from identify.effects.compliance import joint_compliance, link_compliance
 from identify.effects.geometry import geometry
 from identify.effects.special_compliance import base_compliance, joint_cross_compliance, tool_compliance
@@ -18,11 +19,14 @@ __all__ = ["REGISTRY", "Binding", "Effect", "Fields", "Parameter", "Scene", "bin
 REGISTRY: dict[str, Callable[[Binding], Effect]] = {
     "base_compliance": base_compliance,
     "geometry": geometry,
+    "gravity_compensator": gravity_compensator,
     "joint_compliance": joint_compliance,
     "joint_cross_compliance": joint_cross_compliance,
     "link_compliance": link_compliance,
     "tool_compliance": tool_compliance,
 }
+#: Effects that borrow parameters of others, and therefore are bound after them.
+BORROWERS = ("gravity_compensator",)
 
 
 def bind_effects(
@@ -50,7 +54,8 @@ def bind_effects(
             raise InputError(f"effect {entry!r} is not available; allowed are {', '.join(sorted(REGISTRY))}")
         places.setdefault(name, []).append(where)
     given = options or {}
-    return tuple(
-        REGISTRY[name](Binding(robot, () if "" in where else tuple(where), given.get(name, {}), flange))
-        for name, where in places.items()
-    )
+    bound: dict[str, Effect] = {}
+    for name in sorted(places, key=lambda name: name in BORROWERS):
+        chosen = () if "" in places[name] else tuple(places[name])
+        bound[name] = REGISTRY[name](Binding(robot, chosen, given.get(name, {}), flange, tuple(bound.values())))
+    return tuple(bound[name] for name in places)

@@ -168,6 +168,7 @@ class Effect:
         borrowed: Names of b parameters of other effects that it depends on as well.
         springs: The set of springs that its terms count in, if it is a sum over pairs of springs.
         terms: These pairs, one a parameter.
+        held: Pairs that yield too and are not fitted, with their values in their units.
     """
 
     name: str
@@ -180,6 +181,7 @@ class Effect:
     borrowed: tuple[str, ...] = ()
     springs: SpringSet | None = None
     terms: tuple[Term, ...] = ()
+    held: tuple[tuple[Term, float], ...] = ()
 
 
 def build_scene(experiment: Experiment, frames: Frames, positions: Floats, *, self_weight: bool) -> Scene:

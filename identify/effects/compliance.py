@@ -129,7 +129,7 @@ def _with_constants(effect: Effect, binding: Binding) -> Effect:
         moved: Floats = effect.displacement(scene, fit) + rest.displacement(scene, values)
         return moved
 
-    return replace(effect, displacement=displacement)
+    return replace(effect, displacement=displacement, held=tuple(zip(held, constants.values(), strict=True)))
 
 
 def _mirrored(name: str) -> str:
