@@ -26,12 +26,12 @@ from doe.observations import Observer
 from doe.symbolic_arm import SX, Chain, chain, load_torque, motion_of, springs_of, vector, weight_torque
 from identify.arrays import Floats, Ints
 from identify.effects import Effect
-from identify.effects.base import SpringSet
+from identify.effects.base import SpringSet, Term
 from identify.experiment import full_experiment
 from identify.model import frame_displacement, marker_positions
 from identify.robot import Robot
 from identify.study import Noise
-from identify.units import MM, MRAD
+from identify.units import MM, MRAD, SI_OF
 
 __all__ = ["block_function", "missing_columns"]
 
@@ -77,11 +77,16 @@ Columns = tuple[SX, list[SX]]  # what all shots share, (3 M, p), and what each o
 
 def _spring_columns(visit: _Visit, effect: Effect, values: Floats) -> Columns:
     """``D_s t_r + D_r t_s`` for each pair of springs, ``D_s t_s`` where they are one."""
+    return _pair_columns(visit, effect, effect.terms)
+
+
+def _pair_columns(visit: _Visit, effect: Effect, terms: tuple[Term, ...]) -> Columns:
+    """The columns of some pairs among the springs of an effect."""
     assert effect.springs is not None
     motion, torques = visit.motion(effect.springs), visit.torques(effect.springs)
-    first, second = [term.first for term in effect.terms], [term.second for term in effect.terms]
-    scale = np.array([parameter.scale for parameter in effect.parameters])
-    back = scale * np.array([term.mutual and term.first != term.second for term in effect.terms])
+    first, second = [term.first for term in terms], [term.second for term in terms]
+    scale = np.array([SI_OF[term.unit] for term in terms])
+    back = scale * np.array([term.mutual and term.first != term.second for term in terms])
     shared, *own = (
         motion[:, first] @ ca.diag(scale * torque[second])
         + motion[:, second] @ ca.diag(ca.sparsify(ca.SX(back)) * torque[first])
@@ -198,6 +203,10 @@ def _deflection(observer: Observer, visit: _Visit) -> Columns:
         if effect.adjust is None and values.any():
             shared, own = COLUMNS[effect.name](visit, effect, values)
             total = _add(total, (shared @ values, [part @ values for part in own]))
+        if effect.held:
+            terms, constants = zip(*effect.held, strict=True)
+            shared, own = _pair_columns(visit, effect, terms)
+            total = _add(total, (shared @ ca.SX(constants), [part @ ca.SX(constants) for part in own]))
     return total
 
 
@@ -205,7 +214,7 @@ def _bending(observer: Observer, q: SX, loads: SX) -> Columns:
     """How the deflection changes with markers and geometry."""
     model = observer.model
     pairs = zip(model.effects, model.effect_slices, strict=True)
-    if not any(model.nominal[where].any() for effect, where in pairs if effect.adjust is None):
+    if not any(effect.held or model.nominal[where].any() for effect, where in pairs if effect.adjust is None):
         return ca.SX(3 * len(observer.study.markers.names), len(model.parameters)), []
     changes = ca.SX.sym("changes", len(model.parameters))
     shared, own = _deflection(observer, _visit(observer, q, loads, changes))

@@ -12,7 +12,6 @@ from identify.arrays import Floats, Ints
 from identify.effects.base import SpringSet
 from identify.loads import LoadCase
 from identify.robot import Robot
-from identify.springs import link_turns
 
 __all__ = [
     "SX",
@@ -42,6 +41,7 @@ class Chain:
         centre: n (3, 1) centres of mass of the moved links (frame origin where unknown).
         flange_rotation: (3, 3).
         flange_origin: (3, 1).
+        placements: n + 1 (4, 4) that it was made of.
     """
 
     robot: Robot
@@ -50,6 +50,7 @@ class Chain:
     centre: tuple[SX, ...]
     flange_rotation: SX
     flange_origin: SX
+    placements: list[SX]
 
     def point(self, local: Any) -> SX:
         """A point (3,) of the flange frame in the base frame, (3, 1)."""
@@ -67,7 +68,8 @@ def chain(robot: Robot, q: SX, placements: list[SX] | None = None) -> Chain:
     centres = np.where(np.isfinite(robot.centres), robot.centres, 0.0)
     rotation, origin = ca.SX.eye(3), ca.SX.zeros(3)
     rotations, origins, moved = [], [], []
-    for i, placement in enumerate(placements or map(ca.SX, robot.placements)):
+    placements = placements or [ca.SX(placement) for placement in robot.placements]
+    for i, placement in enumerate(placements):
         origin = origin + rotation @ placement[:3, 3]
         rotation = rotation @ placement[:3, :3]
         if i == robot.n:
@@ -80,7 +82,7 @@ def chain(robot: Robot, q: SX, placements: list[SX] | None = None) -> Chain:
             c, s, x, y = ca.cos(q[i]), ca.sin(q[i]), rotation[:, 0], rotation[:, 1]
             rotation = ca.horzcat(c * x + s * y, c * y - s * x, rotation[:, 2])
         moved.append(origin + rotation @ ca.SX(centres[i]))
-    return Chain(robot, tuple(rotations), tuple(origins), tuple(moved), rotation, origin)
+    return Chain(robot, tuple(rotations), tuple(origins), tuple(moved), rotation, origin, placements)
 
 
 def load_table(robot: Robot, loads: tuple[LoadCase, ...]) -> Floats:
@@ -118,14 +120,21 @@ def springs_of(arm: Chain, kind: SpringSet) -> list[Spring]:
         parts = zip(arm.rotation, arm.origin, robot.prismatic, range(robot.n), strict=True)
         return [Spring(rotation[:, 2], origin, bool(slides), i) for rotation, origin, slides, i in parts]
     rotations, origins = [*arm.rotation, arm.flange_rotation], [*arm.origin, arm.flange_origin]
-    turns = link_turns(robot)
+    turns = _link_turns(arm)
     if kind == "links":
         parts = zip(rotations, turns, origins, range(robot.n + 1), strict=True)
-        return [spring for rotation, turn, *rest in parts for spring in _six(rotation @ _matrix(turn), *rest)]
-    column = rotations[1] @ _matrix(robot.placements[1, :3, :3].T)
-    foot = origins[1] - column @ vector(robot.placements[1, :3, 3])
-    turn = _matrix(turns[0])
-    return [*_six(rotations[0] @ turn, origins[0], 0), *_six(column @ turn, foot, 0)]
+        return [spring for rotation, turn, *rest in parts for spring in _six(rotation @ turn, *rest)]
+    column = rotations[1] @ arm.placements[1][:3, :3].T
+    foot = origins[1] - column @ arm.placements[1][:3, 3]
+    return [*_six(rotations[0] @ turns[0], origins[0], 0), *_six(column @ turns[0], foot, 0)]
+
+
+def _link_turns(arm: Chain) -> list[SX]:
+    """The (3, 3) link frames seen from where each of the n + 1 links ends; see `identify.springs.link_turns`."""
+    start = chain(arm.robot, ca.SX(arm.robot.n, 1), arm.placements)
+    ends = [*start.rotation, start.flange_rotation]
+    turns = [end.T @ ca.SX(turn) for end, turn in zip(ends, arm.robot.link_rotations, strict=True)]
+    return [_matrix(np.array(ca.DM(turn))) if turn.is_constant() else turn for turn in turns]
 
 
 def _six(rotation: SX, origin: SX, first_link: int) -> list[Spring]:

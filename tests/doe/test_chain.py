@@ -139,6 +139,17 @@ def test_pairs_of_springs_anywhere(robot, options, reference):
     assert_same_information(*both_blocks(study, count=6))
 
 
+def test_link_elements_that_are_held_bend_with_geometry_and_markers():
+    constants = {"template": ["k11"], "constants": {"link2": {"k55": 30.0, "k26": 20.0}}}
+    study = study_of(
+        load_robot("ur10"), effects=("link_compliance", "geometry"), options={"link_compliance": constants}
+    )
+    symbolic, exact = both_blocks(study)
+    stiff, _ = both_blocks(replace(study, options={"link_compliance": {"template": ["k11"]}}))
+    assert np.abs(symbolic - stiff).max() > 1e-4 * np.abs(exact).max()
+    assert_same_information(symbolic, exact, tolerance=1e-5)
+
+
 def test_the_complete_model_can_be_refined_on_what_one_vertical_load_shows():
     robot = load_robot("kr270_2")
     loads = (LoadCase("L0"), LoadCase("L1", mass=250.0, attach=np.array([0.3, 0.05, -0.1])))
