@@ -14,9 +14,9 @@ import numpy as np
 
 from doe.column_generation import best_weights
 from doe.problem import make_problem
-from doe.threads import one_thread
 from identify.arrays import Floats, frozen
 from identify.errors import InputError, NoConvergence
+from identify.threads import one_thread
 
 __all__ = ["ApproximateDesign", "approximate_design"]
 

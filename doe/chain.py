@@ -1,9 +1,9 @@
 """The observation block of one visit as a CasADi expression of its joint values, for exact derivatives.
 
-The formulas are those of `identify`: the chain of `identify.kinematics`, the springs of
-`identify.springs`, the columns of the effects and the operators of `identify.noise` for regular visits
-(every shot reads all markers). With Helmert contrasts h over the L shots and columns that split into a
-part S that all shots share and a part V_s of each shot, the whitened block is
+The formulas are those of `identify`: the chain and the springs (`doe.symbolic_arm`), the columns of the effects
+and the operators of `identify.noise` for regular visits (every shot reads all markers). With Helmert contrasts
+h over the L shots and columns that split into a part S that all shots share and a part V_s of each shot, the
+whitened block is
 
     B^-1/2 sum_s h_rs V_s                              for each contrast r
     (B + L J L_pose J')^-1/2 (sqrt(L) S + sum_s V_s / sqrt(L))      for the mean (``absolute`` only)
@@ -23,125 +23,17 @@ import numpy as np
 from scipy.linalg import helmert
 
 from doe.observations import Observer
+from doe.symbolic_arm import SX, Chain, chain, load_torque, motion_of, springs_of, vector, weight_torque
 from identify.arrays import Floats, Ints
 from identify.effects import Effect
+from identify.effects.base import SpringSet, Term
 from identify.experiment import full_experiment
-from identify.loads import LoadCase
 from identify.model import frame_displacement, marker_positions
 from identify.robot import Robot
 from identify.study import Noise
-from identify.units import MM, MRAD
+from identify.units import MM, MRAD, SI_OF
 
-__all__ = ["Chain", "block_function", "chain", "heights_function", "load_table", "missing_columns"]
-
-SX = Any  # CasADi is not typed
-
-
-@dataclass(frozen=True, eq=False)
-class Chain:
-    """Placements of one robot in one pose, base frame, m.
-
-    Attributes:
-        robot: The robot.
-        rotation: n (3, 3) joint frames before the joint moves; column 2 is the joint axis.
-        origin: n (3, 1) their origins.
-        centre: n (3, 1) centres of mass of the moved links (frame origin where unknown).
-        flange_rotation: (3, 3).
-        flange_origin: (3, 1).
-    """
-
-    robot: Robot
-    rotation: tuple[SX, ...]
-    origin: tuple[SX, ...]
-    centre: tuple[SX, ...]
-    flange_rotation: SX
-    flange_origin: SX
-
-    def point(self, local: Any) -> SX:
-        """A point (3,) of the flange frame in the base frame, (3, 1)."""
-        return self.flange_origin + self.flange_rotation @ local
-
-
-def chain(robot: Robot, q: SX, placements: list[SX] | None = None) -> Chain:
-    """Forward kinematics of ``robot`` for symbolic joint values ``q`` (n, 1).
-
-    Args:
-        robot: The robot.
-        q: Its joint values, rad or m.
-        placements: n + 1 placements (4, 4) in place of the robot's.
-    """
-    centres = np.where(np.isfinite(robot.centres), robot.centres, 0.0)
-    rotation, origin = ca.SX.eye(3), ca.SX.zeros(3)
-    rotations, origins, moved = [], [], []
-    for i, placement in enumerate(placements or map(ca.SX, robot.placements)):
-        origin = origin + rotation @ placement[:3, 3]
-        rotation = rotation @ placement[:3, :3]
-        if i == robot.n:
-            break
-        rotations.append(rotation)
-        origins.append(origin)
-        if robot.prismatic[i]:
-            origin = origin + rotation[:, 2] * q[i]
-        else:
-            c, s, x, y = ca.cos(q[i]), ca.sin(q[i]), rotation[:, 0], rotation[:, 1]
-            rotation = ca.horzcat(c * x + s * y, c * y - s * x, rotation[:, 2])
-        moved.append(origin + rotation @ ca.SX(centres[i]))
-    return Chain(robot, tuple(rotations), tuple(origins), tuple(moved), rotation, origin)
-
-
-def load_table(robot: Robot, loads: tuple[LoadCase, ...]) -> Floats:
-    """Numbers of each load that the symbolic torque needs, (loads, 15).
-
-    Returns:
-        Attach point (flange frame, m), then force (N) and moment (Nm) fixed in the base frame, then
-        force and moment that turn with the flange.
-    """
-    rows = np.zeros((len(loads), 15))
-    for row, load in zip(rows, loads, strict=True):
-        turn = np.eye(3) if load.in_flange else robot.world_R_base.T
-        start = 9 if load.in_flange else 3
-        row[:3] = load.attach
-        row[start : start + 3] = turn @ load.force
-        row[start + 3 : start + 6] = turn @ load.moment
-        row[3:6] += load.mass * robot.gravity_base
-    return rows
-
-
-def _motion(arm: Chain, point: SX) -> SX:
-    """``D``: motion of a point per unit of each joint, (3, n)."""
-    columns = [
-        rotation[:, 2] if slides else ca.cross(rotation[:, 2], point - origin)
-        for rotation, origin, slides in zip(arm.rotation, arm.origin, arm.robot.prismatic, strict=True)
-    ]
-    return ca.horzcat(*columns)
-
-
-def _load_torque(arm: Chain, load: SX) -> SX:
-    """``t``: torque or force of one row of `load_table` on each joint, (n, 1)."""
-    turn = arm.flange_rotation
-    force, moment = load[3:6] + turn @ load[9:12], load[6:9] + turn @ load[12:15]
-    return _motion(arm, arm.point(load[:3])).T @ force + _turning(arm).T @ moment
-
-
-def _turning(arm: Chain) -> SX:
-    """Axes of the turning joints, zero for sliding ones, (3, n)."""
-    zero = ca.SX(3, 1)
-    pairs = zip(arm.rotation, arm.robot.prismatic, strict=True)
-    return ca.horzcat(*(zero if slides else rotation[:, 2] for rotation, slides in pairs))
-
-
-def _weight_torque(arm: Chain) -> SX:
-    """Torque or force of the weight of links and tool on each joint, (n, 1)."""
-    robot = arm.robot
-    masses = np.where(np.isfinite(robot.masses), robot.masses, 0.0)
-    carried, moment = ca.SX(robot.tool_mass), robot.tool_mass * arm.point(ca.SX(robot.tool_centre))
-    gravity = ca.SX(robot.gravity_base)
-    torques = []
-    for i in reversed(range(robot.n)):
-        carried, moment = carried + masses[i], moment + masses[i] * arm.centre[i]
-        axis, lever = arm.rotation[i][:, 2], moment - carried * arm.origin[i]
-        torques.append(ca.dot(axis, carried * gravity if robot.prismatic[i] else ca.cross(lever, gravity)))
-    return ca.vertcat(*reversed(torques))
+__all__ = ["block_function", "missing_columns"]
 
 
 # --- columns of the model --------------------------------------------------------------------------------------------
@@ -156,30 +48,50 @@ class _Visit:
         arm: The chain of the robot as adjusted by the effects' nominal values.
         on_base: (M,) True for markers that do not move.
         points: M (3, 1) markers.
-        motion: (3 M, n) their motion per unit of each joint.
-        weight: (n, 1) torque of the self-weight, in every shot.
-        torque: (n, L) torque of the load of each shot.
+        loads: (15, L) columns of `load_table`, one a shot.
+        self_weight: The weight of links and tool counts.
     """
 
     robot: Robot
     arm: Chain
     on_base: np.ndarray
     points: list[SX]
-    motion: SX
-    weight: SX
-    torque: SX
+    loads: SX
+    self_weight: bool
+
+    def motion(self, kind: SpringSet) -> SX:
+        """(3 M, s) motion of the markers per unit of each spring of a set."""
+        springs = springs_of(self.arm, kind)
+        pairs = zip(self.points, self.on_base, strict=True)
+        return ca.vertcat(*(ca.SX(3, len(springs)) if fixed else motion_of(springs, point) for point, fixed in pairs))
+
+    def torques(self, kind: SpringSet) -> list[SX]:
+        """What each spring of a set bears, (s, 1): of the self-weight, then of the load of each shot."""
+        springs = springs_of(self.arm, kind)
+        weight = weight_torque(self.arm, springs) if self.self_weight else ca.SX(len(springs), 1)
+        return [weight, *(load_torque(self.arm, springs, load) for load in ca.horzsplit(self.loads))]
 
 
 Columns = tuple[SX, list[SX]]  # what all shots share, (3 M, p), and what each of the L shots adds; [] for nothing
 
 
-def _compliance_columns(visit: _Visit, effect: Effect, values: Floats) -> Columns:
-    """``D_j t_j`` for each spring; its joint is read from the parameter's name."""
-    index = [int(parameter.name.rpartition(".j")[2]) - 1 for parameter in effect.parameters]
-    scale = np.array([parameter.scale for parameter in effect.parameters])
-    motion = visit.motion[:, index]
-    torques = [visit.weight, *ca.horzsplit(visit.torque)]
-    shared, *own = (motion @ ca.diag(scale * torque[index]) for torque in torques)
+def _spring_columns(visit: _Visit, effect: Effect, values: Floats) -> Columns:
+    """``D_s t_r + D_r t_s`` for each pair of springs, ``D_s t_s`` where they are one."""
+    return _pair_columns(visit, effect, effect.terms)
+
+
+def _pair_columns(visit: _Visit, effect: Effect, terms: tuple[Term, ...]) -> Columns:
+    """The columns of some pairs among the springs of an effect."""
+    assert effect.springs is not None
+    motion, torques = visit.motion(effect.springs), visit.torques(effect.springs)
+    first, second = [term.first for term in terms], [term.second for term in terms]
+    scale = np.array([SI_OF[term.unit] for term in terms])
+    back = scale * np.array([term.mutual and term.first != term.second for term in terms])
+    shared, *own = (
+        motion[:, first] @ ca.diag(scale * torque[second])
+        + motion[:, second] @ ca.diag(ca.sparsify(ca.SX(back)) * torque[first])
+        for torque in torques
+    )
     return shared, own
 
 
@@ -191,8 +103,12 @@ def _geometry_columns(visit: _Visit, effect: Effect, values: Floats) -> Columns:
 
 #: Name of an effect -> its columns. An effect that is not here cannot be refined.
 COLUMNS: dict[str, Callable[[_Visit, Effect, Floats], Columns]] = {
-    "joint_compliance": _compliance_columns,
+    "base_compliance": _spring_columns,
     "geometry": _geometry_columns,
+    "joint_compliance": _spring_columns,
+    "joint_cross_compliance": _spring_columns,
+    "link_compliance": _spring_columns,
+    "tool_compliance": _spring_columns,
 }
 
 
@@ -238,7 +154,7 @@ def _screw_motion(visit: _Visit, frame: int, screw: Floats) -> SX:
     last = frame == arm.robot.n
     rotation = arm.flange_rotation if last else arm.rotation[frame]
     origin = arm.flange_origin if last else arm.origin[frame]
-    shift, turn = rotation @ _vector(screw[:3, 3]), rotation @ _vector(screw[[2, 0, 1], [1, 2, 0]])
+    shift, turn = rotation @ vector(screw[:3, 3]), rotation @ vector(screw[[2, 0, 1], [1, 2, 0]])
     moves = [shift + ca.cross(turn, point - origin) for point in visit.points]
     return ca.vertcat(*(ca.SX(3, 1) if fixed else move for move, fixed in zip(moves, visit.on_base, strict=True)))
 
@@ -247,7 +163,7 @@ def _frame_columns(visit: _Visit, deflection: Columns, turn: Floats, shift: Floa
     """Displacement of the base: translation, then rotation about the base origin."""
     shared, own = deflection
     turned = ca.diagcat(*[ca.SX(turn)] * len(visit.points))
-    position = turned @ (ca.vertcat(*visit.points) + shared) + ca.repmat(_vector(shift), len(visit.points), 1)
+    position = turned @ (ca.vertcat(*visit.points) + shared) + ca.repmat(vector(shift), len(visit.points), 1)
     ahead = ca.repmat(MM * ca.SX.eye(3), len(visit.points), 1)
     none = ca.SX(*ahead.shape)
     return ca.horzcat(ahead, _turned(position)), [ca.horzcat(none, _turned(turned @ part)) for part in own]
@@ -266,7 +182,7 @@ def _marker_columns(visit: _Visit) -> Columns:
 
 def _model_columns(observer: Observer, q: SX, loads: SX, visit: _Visit) -> Columns:
     """All columns of the model: frame, markers, effects."""
-    model, shots = observer.model, visit.torque.shape[1]
+    model, shots = observer.model, visit.loads.shape[1]
     parts = []
     if model.frame_size:
         displaced = frame_displacement(model, model.nominal)
@@ -281,12 +197,16 @@ def _model_columns(observer: Observer, q: SX, loads: SX, visit: _Visit) -> Colum
 def _deflection(observer: Observer, visit: _Visit) -> Columns:
     """Displacement of all markers by the effects at their nominal values; all effects of the table are linear."""
     model, rows = observer.model, 3 * len(visit.points)
-    total: Columns = ca.SX(rows, 1), [ca.SX(rows, 1)] * visit.torque.shape[1]
+    total: Columns = ca.SX(rows, 1), [ca.SX(rows, 1)] * visit.loads.shape[1]
     for effect, where in zip(model.effects, model.effect_slices, strict=True):
         values = model.nominal[where]
         if effect.adjust is None and values.any():
             shared, own = COLUMNS[effect.name](visit, effect, values)
             total = _add(total, (shared @ values, [part @ values for part in own]))
+        if effect.held:
+            terms, constants = zip(*effect.held, strict=True)
+            shared, own = _pair_columns(visit, effect, terms)
+            total = _add(total, (shared @ ca.SX(constants), [part @ ca.SX(constants) for part in own]))
     return total
 
 
@@ -294,7 +214,7 @@ def _bending(observer: Observer, q: SX, loads: SX) -> Columns:
     """How the deflection changes with markers and geometry."""
     model = observer.model
     pairs = zip(model.effects, model.effect_slices, strict=True)
-    if not any(model.nominal[where].any() for effect, where in pairs if effect.adjust is None):
+    if not any(effect.held or model.nominal[where].any() for effect, where in pairs if effect.adjust is None):
         return ca.SX(3 * len(observer.study.markers.names), len(model.parameters)), []
     changes = ca.SX.sym("changes", len(model.parameters))
     shared, own = _deflection(observer, _visit(observer, q, loads, changes))
@@ -336,7 +256,8 @@ def block_function(observer: Observer, shots: int, kept: Ints) -> Any:
     visit = _visit(observer, q, loads)
     shared, own = _model_columns(observer, q, loads, visit)
     columns = [part[:, kept.tolist()] for part in own]
-    jolt = visit.motion @ visit.motion.T
+    motion = visit.motion("joints")
+    jolt = motion @ motion.T
     spread = _instrument(noise, visit.points) + noise.reading_jitter**2 * jolt
     weights = np.vstack([helmert(shots) if shots > 1 else np.zeros((0, 1)), np.full((1, shots), shots**-0.5)])
     mixed = [sum((w * part for w, part in zip(row, columns, strict=True)), ca.SX(*columns[0].shape)) for row in weights]
@@ -360,10 +281,7 @@ def _visit(observer: Observer, q: SX, loads: SX, changes: SX | None = None) -> _
         local += MM * ca.reshape(changes[model.frame_size : model.frame_size + model.marker_size], 3, -1)
     fixed = markers.on_base
     points = [p if f else arm.point(p) for p, f in zip(ca.horzsplit(ca.sparsify(local)), fixed, strict=True)]
-    moves = [ca.SX(3, robot.n) if f else _motion(arm, p) for p, f in zip(points, fixed, strict=True)]
-    weight = _weight_torque(arm) if model.self_weight else ca.SX(robot.n, 1)
-    torque = ca.horzcat(*(_load_torque(arm, load) for load in ca.horzsplit(loads)))
-    return _Visit(model.robot, arm, fixed, points, ca.vertcat(*moves), weight, torque)
+    return _Visit(model.robot, arm, fixed, points, loads, model.self_weight)
 
 
 def _displaced(observer: Observer, robot: Robot, changes: SX) -> list[SX]:
@@ -409,31 +327,3 @@ def _instrument(noise: Noise, points: list[SX]) -> SX:
 def _whitened(covariance: SX, rows: SX) -> SX:
     """``L^-1 rows`` with ``covariance = L L'``."""
     return ca.solve(ca.chol(covariance).T, rows)
-
-
-def _vector(values: Floats) -> SX:
-    """A constant column; zeros become structural."""
-    return ca.sparsify(ca.SX(values))
-
-
-# --- heights ---------------------------------------------------------------------------------------------------------
-
-
-def heights_function(robot: Robot, joints: Ints, points: int) -> Any:
-    """World heights of joint origins and of points of the flange, from the base origin, m.
-
-    Args:
-        robot: The robot.
-        joints: (J,) joints whose origin counts.
-        points: Number P of points of the flange.
-
-    Returns:
-        ``(q (n, 1), local (3, P)) -> (J + P, 1)``, with ``local`` in the flange frame, m; the same as
-        `doe.feasible.FloorPoints.heights`.
-    """
-    q, local = ca.SX.sym("q", robot.n), ca.SX.sym("local", 3, points)
-    arm = chain(robot, q)
-    moving = [*(arm.origin[joint] for joint in joints), *(arm.point(point) for point in ca.horzsplit(local))]
-    up = _vector(robot.world_R_base[2])
-    heights = ca.vertcat(*(ca.dot(up, point) for point in moving))
-    return ca.Function("heights", [q, local], [ca.densify(heights)], {"cse": True})

@@ -134,6 +134,19 @@ def predict(study: Path, result: Path, plan: Path, *, out: Path, common: Common 
     return _finish(lambda: run_predict(study, result, plan, seed=common.seed), out, common)
 
 
+@app.command
+def reduce(study: Path, *, out: Path, common: Common = _DEFAULT) -> int:
+    """Reduce the complete stiffness model to what the loads and markers of a study can show.
+
+    Args:
+        study: Study file (TOML).
+        out: Folder for reduce.json and reduced.toml.
+    """
+    from identify.reduce_command import run_reduce
+
+    return _finish(lambda: run_reduce(study, seed=common.seed), out, common)
+
+
 def _finish(run: Callable[[], Outcome], out: Path, common: Common) -> int:
     """Run a command, write its files and print its summary."""
     from identify.results import check_out, json_text, provenance, write_results

@@ -17,9 +17,9 @@ from doe.branch import MOST, branch_and_bound, possible
 from doe.column_generation import Found, best_weights
 from doe.local_search import Limits, Plan, Pool, exchange, fill, improve_from_all, iterate, make_pool
 from doe.problem import Problem, checked_costs, make_problem
-from doe.threads import one_thread
 from identify.arrays import Ints, frozen
 from identify.errors import Infeasible, InputError, NotIdentifiable
+from identify.threads import one_thread
 
 __all__ = ["ExactDesign", "exact_design"]
 

@@ -14,7 +14,7 @@ from identify.experiment import Experiment, full_experiment
 from identify.identifiability import Identifiability, independent_columns, triangle, why_not
 from identify.kinematics import forward
 from identify.loads import LoadCase, Markers
-from identify.model import Model, model_of, respond, without_nuisance
+from identify.model import Model, effect_columns, model_of, respond, without_nuisance
 from identify.noise import whitening
 from identify.study import Study
 
@@ -144,10 +144,8 @@ def _test_rows(observer: Observer, index: int) -> Floats:
     point = Markers(("point",), pose.point[None], np.array([False]))
     experiment = full_experiment(pose.q[None], np.zeros((1, 1), dtype=np.int64), (load,), point)
     model = observer.model
-    columns = np.zeros((3, len(model.parameters)))
     scene = build_scene(experiment, forward(model.robot, experiment.q), point.positions, self_weight=model.self_weight)
-    for effect, where in zip(model.effects, model.effect_slices, strict=True):
-        columns[:, where] = effect.derivative(scene, model.nominal[where])[0]
+    columns: Floats = effect_columns(model, scene, model.nominal)[0]
     return columns
 
 

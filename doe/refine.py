@@ -20,13 +20,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from doe.chain import block_function, heights_function, load_table, missing_columns
+from doe.chain import block_function, missing_columns
 from doe.criteria import Criterion, Mean, MinimumEigenvalue, Volume, Worst
 from doe.feasible import floor_points
 from doe.observations import Observer
-from doe.threads import one_thread
+from doe.symbolic_arm import heights_function, load_table
 from identify.arrays import Floats, Ints, frozen
 from identify.errors import InputError
+from identify.threads import one_thread
 
 __all__ = ["Refinement", "can_refine", "refine"]
 

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from identify.config import load_study
     from identify.errors import ElastocalError, Infeasible, InputError, NoConvergence, NotIdentifiable
     from identify.identification import Identification, identify
+    from identify.reduction import Reduction, reduce
     from identify.tables import load_measurements
 
 __all__ = [
@@ -18,16 +19,20 @@ __all__ = [
     "InputError",
     "NoConvergence",
     "NotIdentifiable",
+    "Reduction",
     "identify",
     "load_measurements",
     "load_study",
+    "reduce",
 ]
 
 _HOME = {
     "Identification": "identify.identification",
+    "Reduction": "identify.reduction",
     "identify": "identify.identification",
     "load_measurements": "identify.tables",
     "load_study": "identify.config",
+    "reduce": "identify.reduction",
 }
 
 

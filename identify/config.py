@@ -27,13 +27,22 @@ from identify.schema import (
     ModelSection,
     NoiseSection,
     PlanSection,
+    ReduceSection,
     Section,
     StudyFile,
     ToolSection,
 )
 from identify.study import Noise, Study
 from identify.study_checks import check_study
-from identify.study_records import constraints, load_cases, markers, noise_from, plan_settings, test_pose
+from identify.study_records import (
+    constraints,
+    load_cases,
+    markers,
+    noise_from,
+    plan_settings,
+    reduce_settings,
+    test_pose,
+)
 from identify.units import DEG, MM
 
 __all__ = ["load_study", "split_options"]
@@ -182,5 +191,6 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study
         test_poses=tuple(test_pose(pose, robot) for pose in file.test_poses or []),
         plan=plan_settings(file.plan or PlanSection(), loads),
         constraints=constraints(file.constraints or ConstraintsSection()),
+        reduce=reduce_settings(file.reduce or ReduceSection()),
         inputs=(path, robot_file),
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identify.arrays import Floats, frozen, rotation_of, skew
+from identify.arrays import Floats, Ints, frozen, rotation_of, skew
 from identify.effects import Effect, Parameter, Scene, bind_effects, build_scene
 from identify.errors import InputError
 from identify.experiment import Experiment
@@ -16,7 +16,7 @@ from identify.robot import Robot
 from identify.study import Study
 from identify.units import MM, MRAD
 
-__all__ = ["Model", "Response", "model_of", "respond", "without_nuisance"]
+__all__ = ["Model", "Response", "effect_columns", "model_of", "respond", "without_nuisance"]
 
 _MARKER_LIMIT = 5.0  # mm; markers are better known than this without any fit
 _NUDGE = 1e-3  # mm or mrad
@@ -65,6 +65,15 @@ class Model:
         ends = self.frame_size + self.marker_size + np.cumsum(sizes)
         return tuple(slice(int(end) - size, int(end)) for end, size in zip(ends, sizes, strict=True))
 
+    @property
+    def effect_inputs(self) -> tuple[Ints, ...]:
+        """Where the values stand that each effect takes: its own parameters, then those it borrows."""
+        names = self.names
+        return tuple(
+            np.array([*range(where.start, where.stop), *map(names.index, effect.borrowed)], dtype=np.int64)
+            for effect, where in zip(self.effects, self.effect_slices, strict=True)
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Response:
@@ -97,7 +106,8 @@ def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapp
     Raises:
         InputError: Unknown effect, place or parameter name.
     """
-    bound = bind_effects(study.effects if effects is None else effects, study.robot, flange=not study.markers_fitted)
+    names = study.effects if effects is None else effects
+    bound = bind_effects(names, study.robot, options=study.options, flange=not study.markers_fitted)
     frame = _frame_parameters() if study.frame_free else ()
     markers = _marker_parameters(study) if study.markers_fitted else ()
     parameters = (*frame, *markers, *(parameter for effect in bound for parameter in effect.parameters))
@@ -168,8 +178,8 @@ def _deflected(model: Model, experiment: Experiment, values: Floats) -> tuple[Sc
     markers = marker_positions(model, experiment, values)
     scene = build_scene(experiment, forward(robot, experiment.q), markers, self_weight=model.self_weight)
     deflection = np.zeros_like(scene.point)
-    for effect, where in pairs:
-        deflection = deflection + effect.displacement(scene, values[where])
+    for effect, inputs in zip(model.effects, model.effect_inputs, strict=True):
+        deflection = deflection + effect.displacement(scene, values[inputs])
     return scene, deflection
 
 
@@ -214,14 +224,30 @@ def frame_displacement(model: Model, values: Floats) -> tuple[Floats, Floats]:
 
 def _derivative(model: Model, scene: Scene, position: Floats, values: Floats) -> Floats:
     """(R, 3, p); the turn of the frame parameters, which are small, is left out of the other columns."""
-    columns = np.empty((len(position), 3, len(model.parameters)))
+    columns = effect_columns(model, scene, values)
     if model.frame_size:
         columns[:, :, :3] = MM * np.eye(3)
         columns[:, :, 3:6] = -MRAD * skew(position)
     if model.marker_size:
         _marker_columns(columns[:, :, model.frame_size : model.frame_size + model.marker_size], scene)
-    for effect, where in zip(model.effects, model.effect_slices, strict=True):
-        columns[:, :, where] = effect.derivative(scene, values[where])
+    return columns
+
+
+def effect_columns(model: Model, scene: Scene, values: Floats) -> Floats:
+    """(R, 3, p) derivative of the displacement by the effects' parameters, m per unit; zero for frame and markers.
+
+    What an effect says about parameters that it borrows adds to their own columns.
+    """
+    columns = np.empty((len(scene.point), 3, len(model.parameters)))
+    columns[:, :, : model.frame_size + model.marker_size] = 0.0
+    lent = []
+    for effect, where, inputs in zip(model.effects, model.effect_slices, model.effect_inputs, strict=True):
+        part = effect.derivative(scene, values[inputs])
+        own = len(effect.parameters)
+        columns[:, :, where] = part[:, :, :own]
+        lent.append((inputs[own:], part[:, :, own:]))
+    for index, part in lent:
+        columns[:, :, index] += part
     return columns
 
 

@@ -175,7 +175,7 @@ def _general_operator(
 
 def _shared(scene: Scene, rows: Ints) -> Floats:
     """``J J'`` of the rows' markers, (G, 3 m, 3 m), m^2 per rad^2."""
-    jacobian = scene.motion[rows].swapaxes(2, 3).reshape(len(rows), 3 * rows.shape[1], -1)
+    jacobian = scene.joints.motion[rows].swapaxes(2, 3).reshape(len(rows), 3 * rows.shape[1], -1)
     product: Floats = jacobian @ jacobian.swapaxes(1, 2)
     return product
 

@@ -176,6 +176,8 @@ def _explain(kind: str, context: Mapping[str, Any], message: str) -> str:
 def _keys(schema: type[BaseModel], place: Sequence[int | str]) -> list[str]:
     """Keys of the table of ``schema`` in which ``place`` stands."""
     for part in place:
+        if str(part) not in schema.model_fields:  # a name of the user's in a table of tables
+            continue
         inner = schema.model_fields[str(part)].annotation
         tables = [kind for kind in getattr(inner, "__args__", (inner,)) if isinstance(kind, type)]
         schema = next(kind for kind in tables if issubclass(kind, BaseModel))

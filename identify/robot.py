@@ -76,6 +76,8 @@ class Robot:
         payload: Rated payload at the flange, kg; ``nan`` if unknown.
         link_radius: Radius of the capsules drawn around the links for the self-collision check, m;
             ``nan`` if unknown.
+        link_rotations: (n + 1, 3, 3) axes of the link frames (0 is the base) in the base frame at zero joint values;
+            local x is the beam axis. Default: all parallel to the base.
         world_R_base: (3, 3) base frame in the world (world z is up).
         gravity: Magnitude of gravity, m/s^2; it acts along world -z.
         tool_mass: Mass that hangs on the flange in every reading, kg.
@@ -95,6 +97,7 @@ class Robot:
     efforts: Floats
     payload: float = float("nan")
     link_radius: float = float("nan")
+    link_rotations: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     world_R_base: Floats = field(default_factory=lambda: frozen(np.eye(3)))
     gravity: float = STANDARD_GRAVITY
     tool_mass: float = 0.0
@@ -105,9 +108,11 @@ class Robot:
     def __post_init__(self) -> None:
         """Check shapes and make the arrays read-only."""
         n = len(self.joints)
+        if not len(self.link_rotations):
+            object.__setattr__(self, "link_rotations", np.broadcast_to(np.eye(3), (n + 1, 3, 3)))
         shapes = {
             "prismatic": (n,), "placements": (n + 1, 4, 4), "lower": (n,), "upper": (n,),
-            "masses": (n,), "centres": (n, 3), "efforts": (n,), "world_R_base": (3, 3),
+            "masses": (n,), "centres": (n, 3), "efforts": (n,), "link_rotations": (n + 1, 3, 3), "world_R_base": (3, 3),
             "tool_centre": (3,),
         }  # fmt: skip
         for key, shape in shapes.items():

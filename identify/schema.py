@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 __all__ = [
     "EFFECT_NAMES",
     "STUDY_SECTIONS",
+    "BeamSection",
     "ConstraintsSection",
     "FramesSection",
     "LoadSection",
@@ -22,6 +23,7 @@ __all__ = [
     "NoiseSection",
     "PlanSection",
     "PointSection",
+    "ReduceSection",
     "RobotSection",
     "Section",
     "StudyFile",
@@ -168,6 +170,26 @@ class ConstraintsSection(Section):
     link_radius_mm: Positive | None = None
 
 
+class BeamSection(Section):
+    """One of ``[reduce.beams.link<i>]``: a tube along local x."""
+
+    length_mm: Positive
+    diameter_mm: Positive
+    wall_mm: Positive
+    young_GPa: Positive = 210.0
+    poisson: Annotated[NotNegative, Field(lt=0.5)] = 0.3
+
+
+class ReduceSection(Section):
+    """``[reduce]``."""
+
+    configurations: Annotated[Count, Field(le=100_000)] = 150
+    targets: Literal["position", "pose"] = "position"
+    directions: Literal["loads", "forces", "wrenches"] = "loads"
+    prefer: list[Text] = []
+    beams: dict[str, BeamSection] = {}
+
+
 class TruthSection(Section):
     """``[truth]`` without the tables of options."""
 
@@ -188,6 +210,7 @@ STUDY_SECTIONS: dict[str, tuple[type[Section], bool]] = {
     "test_poses": (TestPoseSection, True),
     "plan": (PlanSection, False),
     "constraints": (ConstraintsSection, False),
+    "reduce": (ReduceSection, False),
 }
 
 
@@ -206,4 +229,5 @@ class StudyFile:
     test_poses: list[TestPoseSection] | None
     plan: PlanSection | None
     constraints: ConstraintsSection | None
+    reduce: ReduceSection | None
     options: Mapping[str, Mapping[str, Any]]

@@ -19,9 +19,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from identify.arrays import Floats, Ints
-from identify.kinematics import Frames
+from identify.kinematics import Frames, forward
+from identify.robot import Robot
 
-__all__ = ["Springs", "cross", "joint_springs", "load_torque", "motion", "self_weight_torque"]
+__all__ = [
+    "Springs",
+    "base_springs",
+    "cross",
+    "joint_springs",
+    "link_springs",
+    "link_turns",
+    "load_torque",
+    "motion",
+    "self_weight_torque",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +55,47 @@ class Springs:
 def joint_springs(frames: Frames) -> Springs:
     """The springs of the joints themselves, one a joint."""
     return Springs(frames.axis, frames.origin, frames.robot.prismatic, np.arange(frames.robot.n))
+
+
+def link_springs(frames: Frames) -> Springs:
+    """Six springs at the distal end of every link, base included: x, y, z sliding, then x, y, z turning.
+
+    Link i (0 is the base, n carries the flange) ends where joint i + 1 begins, or at the flange. Its frame moves
+    with it and is, at zero joint values, turned from the base by ``robot.link_rotations[i]``.
+    """
+    rotation = np.concatenate([frames.rotation, frames.flange_rotation[:, None]], axis=1) @ link_turns(frames.robot)
+    origin = np.concatenate([frames.origin, frames.flange_origin[:, None]], axis=1)
+    return _six_each(rotation, origin, np.arange(frames.robot.n + 1))
+
+
+def base_springs(frames: Frames) -> Springs:
+    """Twelve springs at the foot of the arm: the six of link 0, then the same six turning (or sliding) with joint 1.
+
+    The second half stands for the bearing under the column: it carries what the first half carries, but its axes
+    are fixed in the column.
+    """
+    robot = frames.robot
+    after = np.concatenate([frames.rotation, frames.flange_rotation[:, None]], axis=1)[:, 1]
+    column = after @ robot.placements[1, :3, :3].T
+    end = frames.origin[:, 1] if robot.n > 1 else frames.flange_origin
+    origin = np.stack([frames.origin[:, 0], end - column @ robot.placements[1, :3, 3]], axis=1)
+    rotation = np.stack([frames.rotation[:, 0], column], axis=1) @ link_turns(robot)[0]
+    return _six_each(rotation, origin, np.zeros(2, dtype=np.int64))
+
+
+def _six_each(rotation: Floats, origin: Floats, first_link: Ints) -> Springs:
+    """x, y, z sliding, then x, y, z turning, in each of b frames (V, b, 3, 3) at (V, b, 3)."""
+    axis = np.tile(rotation.swapaxes(2, 3), (1, 1, 2, 1)).reshape(len(origin), -1, 3)
+    slides = np.tile(np.repeat([True, False], 3), len(first_link))
+    return Springs(axis, np.repeat(origin, 6, axis=1), slides, np.repeat(first_link, 6))
+
+
+def link_turns(robot: Robot) -> Floats:
+    """(n + 1, 3, 3) link frames seen from the joint frame (or flange) at which each link ends."""
+    start = forward(robot, np.zeros((1, robot.n)))
+    ends = np.concatenate([start.rotation[0], start.flange_rotation])
+    turns: Floats = ends.swapaxes(1, 2) @ robot.link_rotations
+    return turns
 
 
 def motion(springs: Springs, points: Floats) -> Floats:

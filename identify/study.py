@@ -11,11 +11,12 @@ from typing import Any, Literal
 import numpy as np
 
 from identify.arrays import Floats, frozen
+from identify.beams import Tube
 from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 from identify.units import DEG, MM
 
-__all__ = ["Constraints", "Noise", "PlanSettings", "Study", "TestPose", "Tracker"]
+__all__ = ["Constraints", "Noise", "PlanSettings", "ReduceSettings", "Study", "TestPose", "Tracker"]
 
 Criterion = Literal["test_pose", "A", "D", "E", "G"]
 Reference = Literal["absolute", "differences", "auto"]
@@ -140,6 +141,26 @@ class Constraints:
 
 
 @dataclass(frozen=True, eq=False)
+class ReduceSettings:
+    """How the model is reduced (section ``[reduce]``).
+
+    Attributes:
+        configurations: Number of random configurations that the observation matrix is built from.
+        targets: Markers are read in ``position`` alone, or as a ``pose`` (6-D target).
+        directions: ``loads``: the loads of the study; ``forces`` or ``wrenches``: unit forces, or forces and moments,
+            in all directions at the points where the loads act (for measured wrenches).
+        prefer: Patterns of parameter names, the most preferred first.
+        tubes: Link -> the tube that its assigned constants are taken from; zero for other links.
+    """
+
+    configurations: int = 150
+    targets: Literal["position", "pose"] = "position"
+    directions: Literal["loads", "forces", "wrenches"] = "loads"
+    prefer: tuple[str, ...] = ()
+    tubes: Mapping[int, Tube] = field(default_factory=lambda: MappingProxyType({}))
+
+
+@dataclass(frozen=True, eq=False)
 class Study:
     """A validated study.
 
@@ -158,6 +179,7 @@ class Study:
         test_poses: Where accuracy counts.
         plan: What the plan is asked for.
         constraints: What poses must keep to.
+        reduce: How the model is reduced.
         inputs: Every file the study was read from.
     """
 
@@ -175,6 +197,7 @@ class Study:
     test_poses: tuple[TestPose, ...] = ()
     plan: PlanSettings = field(default_factory=PlanSettings)
     constraints: Constraints = field(default_factory=Constraints)
+    reduce: ReduceSettings = field(default_factory=ReduceSettings)
     inputs: tuple[Path, ...] = ()
 
     @property

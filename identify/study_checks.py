@@ -14,6 +14,7 @@ from identify.schema import (
     LoadSection,
     NoiseSection,
     PlanSection,
+    ReduceSection,
     StudyFile,
     TestPoseSection,
 )
@@ -35,6 +36,8 @@ def check_study(file: StudyFile, robot: Robot | None, problems: Problems) -> Non
         check_effects(file.model.effects, "[model] effects", problems)
     if file.plan is not None:
         _check_plan(file.plan, file.loads, problems)
+    if file.reduce is not None and robot is not None:
+        _check_beams(file.reduce, robot, problems)
     if robot is not None:
         for i, pose in enumerate(file.test_poses or []):
             _check_test_pose(pose, robot, f"[[test_poses]] {i + 1} joints_deg", problems)
@@ -130,6 +133,16 @@ def _check_plan(plan: PlanSection, loads: list[LoadSection] | None, problems: Pr
         )
     elif plan.loads_per_pose > len(plan.loads):
         problems.add("[plan] loads_per_pose", f"at most {len(plan.loads)}, the number of loads", plan.loads_per_pose)
+
+
+def _check_beams(table: ReduceSection, robot: Robot, problems: Problems) -> None:
+    """Beams of links that exist, with walls that fit into them."""
+    links = [f"link{i}" for i in range(robot.n + 1)]
+    for name, beam in table.beams.items():
+        if name not in links:
+            problems.add(f"[reduce.beams.{name}]", unknown("link", name, links))
+        elif 2 * beam.wall_mm > beam.diameter_mm:
+            problems.add(f"[reduce.beams.{name}] wall_mm", "at most half of diameter_mm", beam.wall_mm)
 
 
 def _check_test_pose(pose: TestPoseSection, robot: Robot, key: str, problems: Problems) -> None:

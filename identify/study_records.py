@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
 from identify.arrays import frozen
+from identify.beams import Tube
 from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 from identify.schema import (
@@ -15,13 +17,14 @@ from identify.schema import (
     NoiseSection,
     PlanSection,
     PointSection,
+    ReduceSection,
     TestPoseSection,
     TrackerSection,
 )
-from identify.study import Constraints, Noise, PlanSettings, TestPose, Tracker
-from identify.units import DEG, MM, UM, URAD
+from identify.study import Constraints, Noise, PlanSettings, ReduceSettings, TestPose, Tracker
+from identify.units import DEG, GPA, MM, UM, URAD
 
-__all__ = ["constraints", "load_cases", "markers", "noise_from", "plan_settings", "test_pose"]
+__all__ = ["constraints", "load_cases", "markers", "noise_from", "plan_settings", "reduce_settings", "test_pose"]
 
 
 def markers(on_flange: PointSection | None, on_base: PointSection | None) -> Markers:
@@ -126,4 +129,21 @@ def constraints(table: ConstraintsSection) -> Constraints:
         payload_share=table.payload_share,
         self_collision=table.self_collision,
         link_radius=None if table.link_radius_mm is None else table.link_radius_mm * MM,
+    )
+
+
+def reduce_settings(table: ReduceSection) -> ReduceSettings:
+    """How the model is reduced, in SI; names of beams have been checked."""
+    tubes = {
+        int(name.removeprefix("link")): Tube(
+            length=beam.length_mm * MM,
+            diameter=beam.diameter_mm * MM,
+            wall=beam.wall_mm * MM,
+            young=beam.young_GPa * GPA,
+            poisson=beam.poisson,
+        )
+        for name, beam in table.beams.items()
+    }
+    return ReduceSettings(
+        table.configurations, table.targets, table.directions, tuple(table.prefer), MappingProxyType(tubes)
     )

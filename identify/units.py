@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["DEG", "MM", "MRAD", "SI_OF", "UM", "URAD"]
+__all__ = ["DEG", "GPA", "MM", "MRAD", "SI_OF", "UM", "URAD"]
 
 MM = 1e-3
 UM = 1e-6
 DEG = math.pi / 180.0
 MRAD = 1e-3
 URAD = 1e-6
+GPA = 1e9
 
 #: SI value of one unit, by the unit's name as it stands in result files.
 SI_OF = {
@@ -21,4 +22,7 @@ SI_OF = {
     "mrad": MRAD,
     "urad/Nm": URAD,
     "um/N": UM,
+    "urad/N": URAD,
+    "N/mm": 1e3,
+    "N": 1.0,
 }

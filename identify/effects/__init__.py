@@ -2,33 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
-from identify.effects.base import Effect, Parameter, Scene, build_scene
-from identify.effects.compliance import joint_compliance
+from identify.effects.base import Binding, Effect, Fields, Parameter, Scene, build_scene
+from identify.effects.compensator import gravity_compensator
+from identify.effects.compliance import joint_compliance, link_compliance
 from identify.effects.geometry import geometry
+from identify.effects.special_compliance import base_compliance, joint_cross_compliance, tool_compliance
 from identify.errors import InputError
 from identify.robot import Robot
 
-__all__ = ["REGISTRY", "Effect", "Parameter", "Scene", "bind_effects", "build_scene"]
+__all__ = ["REGISTRY", "Binding", "Effect", "Fields", "Parameter", "Scene", "bind_effects", "build_scene"]
 
-#: Name of an effect -> ``bind(robot, where, flange)``.
-REGISTRY: dict[str, Callable[[Robot, tuple[str, ...], bool], Effect]] = {
-    "joint_compliance": lambda robot, where, flange: joint_compliance(robot, where),
-    "geometry": lambda robot, where, flange: geometry(robot, where, flange=flange),
+#: Name of an effect -> how it is bound to a robot.
+REGISTRY: dict[str, Callable[[Binding], Effect]] = {
+    "base_compliance": base_compliance,
+    "geometry": geometry,
+    "gravity_compensator": gravity_compensator,
+    "joint_compliance": joint_compliance,
+    "joint_cross_compliance": joint_cross_compliance,
+    "link_compliance": link_compliance,
+    "tool_compliance": tool_compliance,
 }
+#: Effects that borrow parameters of others, and therefore are bound after them.
+BORROWERS = ("gravity_compensator",)
 
 
-def bind_effects(names: tuple[str, ...], robot: Robot, *, flange: bool = False) -> tuple[Effect, ...]:
+def bind_effects(
+    names: tuple[str, ...],
+    robot: Robot,
+    *,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    flange: bool = False,
+) -> tuple[Effect, ...]:
     """Bind a study's list of effects to a robot; entries ``name`` or ``name@where``.
 
     Args:
         names: The list, any order; places of one effect are joined.
         robot: The robot.
+        options: Options by effect name.
         flange: The flange has geometric errors of its own (marker positions are exact).
 
     Raises:
-        InputError: An effect that does not exist, or a place it cannot have.
+        InputError: An effect that does not exist, a place it cannot have, or a wrong option.
     """
     places: dict[str, list[str]] = {}
     for entry in names:
@@ -36,4 +53,9 @@ def bind_effects(names: tuple[str, ...], robot: Robot, *, flange: bool = False) 
         if name not in REGISTRY:
             raise InputError(f"effect {entry!r} is not available; allowed are {', '.join(sorted(REGISTRY))}")
         places.setdefault(name, []).append(where)
-    return tuple(REGISTRY[name](robot, () if "" in where else tuple(where), flange) for name, where in places.items())
+    given = options or {}
+    bound: dict[str, Effect] = {}
+    for name in sorted(places, key=lambda name: name in BORROWERS):
+        chosen = () if "" in places[name] else tuple(places[name])
+        bound[name] = REGISTRY[name](Binding(robot, chosen, given.get(name, {}), flange, tuple(bound.values())))
+    return tuple(bound[name] for name in places)

@@ -7,8 +7,11 @@ design, identification and compensation all use the same two functions.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,9 +20,12 @@ from identify.experiment import Experiment
 from identify.kinematics import Frames
 from identify.loads import LoadCase
 from identify.robot import Robot
-from identify.springs import joint_springs, load_torque, motion, self_weight_torque
+from identify.springs import Springs, base_springs, joint_springs, link_springs, load_torque, motion, self_weight_torque
 
-__all__ = ["Effect", "Parameter", "Scene", "build_scene"]
+__all__ = ["Binding", "Effect", "Fields", "Parameter", "Scene", "SpringSet", "Term", "build_scene"]
+
+#: Springs that a scene knows: one a joint, six a link (`link_springs`), twelve at the foot (`base_springs`).
+SpringSet = Literal["joints", "links", "base"]
 
 
 @dataclass(frozen=True)
@@ -43,28 +49,104 @@ class Parameter:
     limit: float = float("inf")
 
 
+@dataclass(frozen=True)
+class Term:
+    """One compliance: the deflection of spring ``first`` per load on spring ``second``, and back if ``mutual``."""
+
+    name: str
+    first: int
+    second: int
+    unit: str
+    mutual: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Binding:
+    """What an effect is bound to.
+
+    Attributes:
+        robot: The robot.
+        where: Places of the effect; empty for all.
+        options: The table ``[model.<effect>]`` of the study.
+        flange: The flange has geometric errors of its own (marker positions are exact).
+        others: The other effects of the model, for effects that lean on their parameters.
+    """
+
+    robot: Robot
+    where: tuple[str, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    flange: bool = False
+    others: tuple[Effect, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Fields:
+    """The two fields of a set of springs, base frame.
+
+    Attributes:
+        motion: (R, s, 3) motion of each row's marker per unit of each spring; zero for targets on the base.
+        torque: (S, s) torque or force that load and self-weight put on each spring in each shot.
+    """
+
+    motion: Floats
+    torque: Floats
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """An experiment with its fields, base frame, SI.
+    """An experiment on a robot; the fields of its springs are computed when they are first asked for.
 
     Attributes:
         experiment: The conditions.
         frames: Joint frames of the C poses of the experiment.
-        point: (R, 3) undeflected marker of each row, m.
-        motion: (R, n, 3) motion of that marker per unit of each joint; zero for targets on the base.
-        torque: (S, n) torque or force that load and self-weight put on each joint.
+        marker: (C, M, 3) undeflected markers in all poses, base frame, m.
+        self_weight: The weight of links and tool counts.
     """
 
     experiment: Experiment
     frames: Frames
-    point: Floats
-    motion: Floats
-    torque: Floats
+    marker: Floats
+    self_weight: bool
 
     @property
     def row_pose(self) -> np.ndarray:
         """(R,) pose of each row."""
         return np.asarray(self.experiment.shot_pose[self.experiment.row_shot])
+
+    @cached_property
+    def point(self) -> Floats:
+        """(R, 3) undeflected marker of each row, m."""
+        point: Floats = self.marker[self.row_pose, self.experiment.row_marker]
+        return point
+
+    @cached_property
+    def joints(self) -> Fields:
+        """Fields of the n joint springs."""
+        return self._fields(joint_springs)
+
+    @cached_property
+    def links(self) -> Fields:
+        """Fields of the 6 (n + 1) link springs, see `identify.springs.link_springs`."""
+        return self._fields(link_springs)
+
+    @cached_property
+    def base(self) -> Fields:
+        """Fields of the twelve springs at the foot, see `identify.springs.base_springs`."""
+        return self._fields(base_springs)
+
+    def fields(self, springs: SpringSet) -> Fields:
+        """Fields of a named set of springs."""
+        found: Fields = getattr(self, springs)
+        return found
+
+    def _fields(self, springs_of: Callable[[Frames], Springs]) -> Fields:
+        experiment, springs = self.experiment, springs_of(self.frames)
+        moves = motion(springs, self.marker)
+        moves[:, experiment.markers.on_base] = 0.0
+        torque = _load_torque(experiment, self.frames, springs_of)
+        if self.self_weight:
+            torque += self_weight_torque(springs, self.frames)[experiment.shot_pose]
+        return Fields(moves[self.row_pose, experiment.row_marker], torque)
 
 
 Displacement = Callable[[Scene, Floats], Floats]
@@ -77,11 +159,16 @@ class Effect:
     Attributes:
         name: Its name in study files.
         parameters: Its p unknowns.
-        displacement: ``(scene, values) -> (R, 3)`` m, base frame; values in the parameters' units.
-        derivative: ``(scene, values) -> (R, 3, p)`` m per unit.
+        displacement: ``(scene, values) -> (R, 3)`` m, base frame; values in the parameters' units, followed by the
+            values of the b borrowed ones.
+        derivative: ``(scene, values) -> (R, 3, p + b)`` m per unit; the last b add to the columns of their owners.
         yields: True if it answers to loads (only then do differences between loads show it).
         adjust: ``(robot, values) -> robot`` for effects that change the robot itself.
         why_zero: Index of a parameter -> why no row may depend on it.
+        borrowed: Names of b parameters of other effects that it depends on as well.
+        springs: The set of springs that its terms count in, if it is a sum over pairs of springs.
+        terms: These pairs, one a parameter.
+        held: Pairs that yield too and are not fitted, with their values in their units.
     """
 
     name: str
@@ -91,10 +178,14 @@ class Effect:
     why_zero: Callable[[int], str]
     yields: bool = True
     adjust: Callable[[Robot, Floats], Robot] | None = None
+    borrowed: tuple[str, ...] = ()
+    springs: SpringSet | None = None
+    terms: tuple[Term, ...] = ()
+    held: tuple[tuple[Term, float], ...] = ()
 
 
 def build_scene(experiment: Experiment, frames: Frames, positions: Floats, *, self_weight: bool) -> Scene:
-    """Compute all fields of an experiment in one pass.
+    """The scene of an experiment.
 
     Args:
         experiment: The conditions.
@@ -105,31 +196,27 @@ def build_scene(experiment: Experiment, frames: Frames, positions: Floats, *, se
     markers = experiment.markers
     points = np.stack([frames.point(local) for local in positions], axis=1)
     points[:, markers.on_base] = positions[markers.on_base]
-    springs = joint_springs(frames)
-    moves = motion(springs, points)
-    moves[:, markers.on_base] = 0.0
-    row_pose = experiment.shot_pose[experiment.row_shot]
-    torque = _load_torque(experiment, frames)
-    if self_weight:
-        torque += self_weight_torque(springs, frames)[experiment.shot_pose]
-    return Scene(
-        experiment, frames, points[row_pose, experiment.row_marker], moves[row_pose, experiment.row_marker], torque
-    )
+    return Scene(experiment, frames, points, self_weight)
 
 
-def _load_torque(experiment: Experiment, frames: Frames) -> Floats:
-    """Torque of what hangs on the flange or of the measured wrench, (S, n)."""
-    torque = np.zeros((len(experiment.shot_load), frames.robot.n))
+def _load_torque(experiment: Experiment, frames: Frames, springs_of: Callable[[Frames], Springs]) -> Floats:
+    """Torque of what hangs on the flange or of the measured wrench, (S, s)."""
+    torque: Floats | None = None
     for index, load in enumerate(experiment.loads):
         shots = np.flatnonzero((experiment.shot_load == index) & ~experiment.shot_unloaded)
         if len(shots):
             measured = None if experiment.wrench is None else experiment.wrench[shots]
-            torque[shots] = _torque_of(load, measured, _at(frames, experiment.shot_pose[shots]))
+            there = _at(frames, experiment.shot_pose[shots])
+            part = load_torque(springs_of(there), *_wrench(load, measured, there))
+            torque = np.zeros((len(experiment.shot_load), part.shape[1])) if torque is None else torque
+            torque[shots] = part
+    if torque is None:
+        return np.zeros((len(experiment.shot_load), len(springs_of(_at(frames, np.arange(1))).slides)))
     return torque
 
 
-def _torque_of(load: LoadCase, measured: Floats | None, frames: Frames) -> Floats:
-    """Torque of one load case (or of measured wrenches (S, 6) in the flange frame) in S poses."""
+def _wrench(load: LoadCase, measured: Floats | None, frames: Frames) -> tuple[Floats, Floats, Floats]:
+    """Point, force and moment (S, 3) of a load case, or of measured wrenches (S, 6) in the flange frame."""
     robot = frames.robot
     if measured is not None:
         force, moment = measured[:, :3], measured[:, 3:]
@@ -139,9 +226,7 @@ def _torque_of(load: LoadCase, measured: Floats | None, frames: Frames) -> Float
         force = turn @ load.force + load.mass * robot.gravity_base
         moment = turn @ load.moment
     shape = frames.flange_origin.shape
-    return load_torque(
-        joint_springs(frames), frames.point(load.attach), np.broadcast_to(force, shape), np.broadcast_to(moment, shape)
-    )
+    return frames.point(load.attach), np.broadcast_to(force, shape), np.broadcast_to(moment, shape)
 
 
 def _at(frames: Frames, index: np.ndarray) -> Frames:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identify.arrays import Floats
-from identify.effects.base import Effect, Parameter, Scene
+from identify.effects.base import Binding, Effect, Parameter, Scene
 from identify.effects.places import joint_places
 from identify.robot import Robot
 from identify.springs import cross
@@ -46,19 +46,18 @@ class _Slot:
     turn: Floats
 
 
-def geometry(robot: Robot, where: tuple[str, ...], *, flange: bool = False) -> Effect:
-    """Geometric errors of the joint frames (and of the flange, if ``flange``).
+def geometry(binding: Binding) -> Effect:
+    """Geometric errors of the joint frames (and of the flange, where marker positions are exact).
 
     Parameters ``geometry.j<i>.<component>`` and ``geometry.flange.<component>``, mm and mrad. Typical:
     0.1 to 1 mrad and 0.1 to 1 mm; gravity deflection is evaluated on the displaced geometry.
 
     Args:
-        robot: The robot.
-        where: Places ``j1 ... jn``; empty for all.
-        flange: Include the flange (needed where marker positions are exact).
+        binding: Robot and places ``j1 ... jn``.
     """
-    slots = [_slot(robot, joint) for joint in joint_places("geometry", robot, where)]
-    if flange and not where:
+    robot = binding.robot
+    slots = [_slot(robot, joint) for joint in joint_places("geometry", robot, binding.where)]
+    if binding.flange and not binding.where:
         slots.append(_Slot(robot.n, _FLANGE, np.eye(3)))
     steps = [(slot, step) for slot in slots for step in _STEPS if step in slot.names]
     parameters = tuple(_parameter(robot, slot, step) for slot, step in steps)

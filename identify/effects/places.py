@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
-
 from identify.errors import InputError
 from identify.robot import Robot
 
-__all__ = ["joint_places"]
+__all__ = ["chain_places", "joint_places"]
 
 
 def joint_places(effect: str, robot: Robot, where: tuple[str, ...]) -> list[int]:
@@ -16,12 +14,17 @@ def joint_places(effect: str, robot: Robot, where: tuple[str, ...]) -> list[int]
     Raises:
         InputError: A place is no joint of this robot.
     """
-    if not where:
-        return list(range(robot.n))
-    index = []
+    return chain_places(effect, "j", robot.n, where, first=1)
+
+
+def chain_places(effect: str, word: str, count: int, where: tuple[str, ...], *, first: int) -> list[int]:
+    """Numbers from 0 for ``count`` places ``<word><first> ...``; all if ``where`` is empty.
+
+    Raises:
+        InputError: A place does not exist.
+    """
+    names = [f"{word}{first + number}" for number in range(count)]
     for place in where:
-        match = re.fullmatch(r"j([1-9]\d*)", place)
-        if not match or int(match.group(1)) > robot.n:
-            raise InputError(f"effect {effect}@{place}: no such place; allowed are j1 ... j{robot.n}")
-        index.append(int(match.group(1)) - 1)
-    return sorted(set(index))
+        if place not in names:
+            raise InputError(f"effect {effect}@{place}: no such place; allowed are {names[0]} ... {names[-1]}")
+    return [number for number, name in enumerate(names) if not where or name in where]

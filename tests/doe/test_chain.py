@@ -7,9 +7,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from doe.chain import block_function, heights_function, load_table, missing_columns
+from doe.chain import block_function, missing_columns
 from doe.feasible import floor_points
 from doe.observations import identifiable, observer
+from doe.refine import refine
+from doe.symbolic_arm import heights_function, load_table
 from identify.arrays import rotation_of
 from identify.kinematics import forward
 from identify.loads import LoadCase, Markers
@@ -118,6 +120,52 @@ def test_effects_places_frame_and_markers(effects, nuisance):
     study = study_of(robot, effects=effects, frame_free=nuisance, markers_fitted=nuisance)
     for shots in (1, 2, 3):
         assert_same_information(*both_blocks(study, shots=shots))
+
+
+PAIRS = ("joint_compliance@j2", "link_compliance", "base_compliance", "tool_compliance", "joint_cross_compliance")
+EVERY = {
+    "link_compliance": {"template": "full"},
+    "base_compliance": {"components": ["x", "y", "z", "rx", "ry", "rz"]},
+    "tool_compliance": {"components": ["x", "rz"]},
+}
+
+
+@pytest.mark.parametrize("reference", ["absolute", "differences"])
+@pytest.mark.parametrize("options", [{}, EVERY], ids=["default", "every"])
+@pytest.mark.parametrize("robot", [load_robot("kr270_2"), random_chain(1), random_chain(3, 3)], ids=["kr", "r1", "r3"])
+def test_pairs_of_springs_anywhere(robot, options, reference):
+    study = study_of(robot, effects=PAIRS, options=options, reference=reference, noise=TRACKER)
+    assert missing_columns(observer(study)) == ()
+    assert_same_information(*both_blocks(study, count=6))
+
+
+def test_link_elements_that_are_held_bend_with_geometry_and_markers():
+    constants = {"template": ["k11"], "constants": {"link2": {"k55": 30.0, "k26": 20.0}}}
+    study = study_of(
+        load_robot("ur10"), effects=("link_compliance", "geometry"), options={"link_compliance": constants}
+    )
+    symbolic, exact = both_blocks(study)
+    stiff, _ = both_blocks(replace(study, options={"link_compliance": {"template": ["k11"]}}))
+    assert np.abs(symbolic - stiff).max() > 1e-4 * np.abs(exact).max()
+    assert_same_information(symbolic, exact, tolerance=1e-5)
+
+
+def test_the_complete_model_can_be_refined_on_what_one_vertical_load_shows():
+    robot = load_robot("kr270_2")
+    loads = (LoadCase("L0"), LoadCase("L1", mass=250.0, attach=np.array([0.3, 0.05, -0.1])))
+    markers = Markers(
+        ("M1", "M2", "M3"), np.array([[0.18, 0, -0.17], [0.25, 0, 0.05], [0.02, 0.09, 0.22]]), np.zeros(3, dtype=bool)
+    )
+    noise = Noise(reading=3e-5, pose_jitter=1.2e-5, reading_jitter=1.5e-6)
+    study = Study(Path("s.toml"), robot, loads, markers, noise, effects=("link_compliance",), reference="differences")
+    watching = observer(study)
+    q = poses(robot, 80, seed=2)
+    kept = identifiable(watching.blocks(q, np.tile([0, 1], (80, 1)))).kept
+    assert len(kept) == 26
+    lower, upper = robot.lower, robot.upper
+    found = refine(watching, q[:15], np.tile([0, 1], (15, 1)), kept, None, criterion="D", lower=lower, upper=upper,
+                   max_iterations=15)  # fmt: skip
+    assert found.gain > 0.1
 
 
 def test_the_block_itself_is_the_exact_one_on_kept_columns():

@@ -1,0 +1,145 @@
+"""Special cases of spring pairs that have a name of their own: the foot, the flange, joints that are coupled.
+
+They are the mechanism of `identify.effects.compliance` on chosen springs. ``base_compliance@base`` and
+``tool_compliance@flange`` are elements of the first and the last link of `link_compliance`.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+from identify.effects.base import Binding, Effect, SpringSet, Term
+from identify.effects.compliance import spring_effect
+from identify.errors import InputError
+from identify.robot import Robot
+
+__all__ = ["base_compliance", "joint_cross_compliance", "tool_compliance"]
+
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")  # along, then about
+
+
+def base_compliance(binding: Binding) -> Effect:
+    """Tilt of the foundation (place ``base``) and of the column on its bearing (place ``column``).
+
+    Parameters ``base_compliance.<place>.<component>``: springs along (``x, y, z``, um/N) and about (``rx, ry, rz``,
+    urad/Nm) the axes of link 0 at its end, where joint 1 begins. Those of ``column`` turn with joint 1, so the two
+    places differ only if joint 1 moves. Typical: 0.01 to 0.05 urad/Nm.
+
+    Options: ``components = ["rx", "ry"]`` (default).
+
+    Args:
+        binding: Robot, places and options.
+    """
+    places = _named_places("base_compliance", ("base", "column"), binding.where)
+    starts = {"base": 0, "column": 6}
+    return _body_effect("base_compliance", binding, {place: starts[place] for place in places}, "base", ("rx", "ry"))
+
+
+def tool_compliance(binding: Binding) -> Effect:
+    """Flange plate and gripper: springs at the flange.
+
+    Parameters ``tool_compliance.flange.<component>``: springs along and about the axes of the last link (its x axis
+    is the beam's), at the flange origin; units as in `base_compliance`. Typical: 0.2 to 1 urad/Nm.
+
+    Options: ``components = ["ry", "rz"]`` (default).
+
+    Args:
+        binding: Robot, place ``flange`` and options.
+    """
+    places = _named_places("tool_compliance", ("flange",), binding.where)
+    starts = dict.fromkeys(places, 6 * binding.robot.n)
+    return _body_effect("tool_compliance", binding, starts, "links", ("ry", "rz"))
+
+
+def joint_cross_compliance(binding: Binding) -> Effect:
+    """Two joints that yield to each other's load: ``c (D_a t_b + D_b t_a)``.
+
+    Parameters ``joint_cross_compliance.j<a>-j<b>``, urad/Nm (urad/N where one of the two slides, um/N where both do).
+    Typical: 5 to 15 % of the compliance of a wrist joint.
+
+    Args:
+        binding: Robot and places ``j<a>-j<b>`` with a < b; neighbouring joints by default.
+
+    Raises:
+        InputError: The robot has a single joint, or a place is no pair of its joints.
+    """
+    robot = binding.robot
+    pairs = [_pair(robot, place) for place in dict.fromkeys(binding.where)] or list(pairwise(range(robot.n)))
+    if not pairs:
+        raise InputError(f"effect joint_cross_compliance: robot {robot.name} has one joint, a pair needs two")
+    terms = tuple(_cross_term(robot, a, b) for a, b in pairs)
+
+    def why_zero(parameter: int) -> str:
+        a, b = pairs[parameter]
+        return f"no load in these data turns joint {a + 1} or joint {b + 1} while a marker answers to the other"
+
+    return spring_effect("joint_cross_compliance", terms, "joints", why_zero)
+
+
+def _body_effect(
+    name: str, binding: Binding, starts: dict[str, int], springs: SpringSet, default: tuple[str, ...]
+) -> Effect:
+    """Springs on the diagonal of some 6x6 compliances, each of which begins at ``starts[place]``."""
+    components = _components(name, binding, default)
+    terms = []
+    for place, start in starts.items():
+        for component in components:
+            spring = start + COMPONENTS.index(component)
+            unit = "urad/Nm" if component[0] == "r" else "um/N"
+            terms.append(Term(f"{name}.{place}.{component}", spring, spring, unit))
+
+    def why_zero(parameter: int) -> str:
+        place, component = terms[parameter].name.split(".")[1:]
+        what = f"{'turns about' if component[0] == 'r' else 'pushes along'} {component[-1]} of the {place}"
+        return f"no load in these data {what}, or no marker answers to it"
+
+    return spring_effect(name, tuple(terms), springs, why_zero)
+
+
+def _components(name: str, binding: Binding, default: tuple[str, ...]) -> tuple[str, ...]:
+    """The option ``components``.
+
+    Raises:
+        InputError: It is no list of components, or there is another option.
+    """
+    for key in binding.options:
+        if key != "components":
+            raise InputError(f"[model.{name}] {key}: unknown key; allowed: components")
+    chosen = binding.options.get("components", default)
+    if isinstance(chosen, list | tuple) and chosen and all(item in COMPONENTS for item in chosen):
+        return tuple(item for item in COMPONENTS if item in chosen)
+    raise InputError(f"[model.{name}] components = {chosen!r}: a list of {', '.join(COMPONENTS)} expected")
+
+
+def _named_places(effect: str, allowed: tuple[str, ...], where: tuple[str, ...]) -> tuple[str, ...]:
+    """Places that have names instead of numbers; all if ``where`` is empty.
+
+    Raises:
+        InputError: A place does not exist.
+    """
+    for place in where:
+        if place not in allowed:
+            raise InputError(f"effect {effect}@{place}: no such place; allowed: {', '.join(allowed)}")
+    return tuple(place for place in allowed if not where or place in where)
+
+
+def _pair(robot: Robot, place: str) -> tuple[int, int]:
+    """Joint numbers (from 0) of a place such as ``j4-j5``.
+
+    Raises:
+        InputError: It is no pair of two joints of this robot in ascending order.
+    """
+    names = [f"j{joint + 1}" for joint in range(robot.n)]
+    first, _, second = place.partition("-")
+    if first not in names or second not in names or names.index(first) >= names.index(second):
+        raise InputError(
+            f"effect joint_cross_compliance@{place}: no such place; a pair of joints of {names[0]} ... {names[-1]} "
+            "in ascending order is expected, for example j1-j2"
+        )
+    return names.index(first), names.index(second)
+
+
+def _cross_term(robot: Robot, a: int, b: int) -> Term:
+    """The term of two joints, in the unit of their kinds."""
+    unit = ("urad/Nm", "urad/N", "um/N")[int(robot.prismatic[a]) + int(robot.prismatic[b])]
+    return Term(f"joint_cross_compliance.j{a + 1}-j{b + 1}", a, b, unit)
