@@ -62,6 +62,8 @@ def choose(pool: Pool, count: int, seed: int) -> Choice:
                 break
         if aim.value(information_of(moved)) < aim.value(information_of(grid)):
             q, own = refined, moved
+    if refinement is not None and refinement.reason:
+        notes = (*notes, f"not refined: {refinement.reason}")
     if best is not None:
         notes = (*notes, *blind_spot(pool, own, best))
     return Choice(q, loads, grid, own, refinement, notes)

@@ -141,6 +141,7 @@ def reduce(study: Path, *, out: Path, common: Common = _DEFAULT) -> int:
     Args:
         study: Study file (TOML).
         out: Folder for reduce.json and reduced.toml.
+        common: Options that every command has.
     """
     from identify.reduce_command import run_reduce
 
