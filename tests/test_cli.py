@@ -306,7 +306,13 @@ def test_ctrl_c_in_the_real_process_leaves_nothing(files):
     (files / "study.toml").write_text(changed(plan={"poses": 1500, "refine": True}))
     before = tree(files)
     command = [Path(sys.executable).with_name("elastocal"), "plan", files / "study.toml", "--out", files / "out"]
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    running = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job may have inherited "ignore"
+    )
     assert "searching 1500 experiments" in running.stderr.readline()
     running.send_signal(signal.SIGINT)
     out, err = running.communicate(timeout=60)
