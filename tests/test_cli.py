@@ -305,14 +305,10 @@ def test_an_interrupted_computation_leaves_nothing(files, monkeypatch, error, ca
 def test_ctrl_c_in_the_real_process_leaves_nothing(files):
     (files / "study.toml").write_text(changed(plan={"poses": 1500, "refine": True}))
     before = tree(files)
-    command = [Path(sys.executable).with_name("elastocal"), "plan", files / "study.toml", "--out", files / "out"]
-    running = subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job may have inherited "ignore"
-    )
+    hearing = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # a background job may be deaf
+    start = f"{hearing}; from doe.cli import main; main()"
+    command = [sys.executable, "-c", start, "plan", files / "study.toml", "--out", files / "out"]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert "searching 1500 experiments" in running.stderr.readline()
     running.send_signal(signal.SIGINT)
     out, err = running.communicate(timeout=60)
