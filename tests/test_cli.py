@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,9 +17,8 @@ import tomli_w
 import doe
 import identify
 from doe.cli import run
-from identify.effects import bind_effects
+from identify.effects import REGISTRY, bind_effects
 from identify.robot_files import load_robot
-from identify.schema import EFFECT_NAMES
 from tests.doe.study_files import ARM, KR270, merged
 
 ROOT = Path(__file__).parents[1]
@@ -610,26 +610,32 @@ def test_imports_load_nothing_heavy(statement):
     assert done.stdout.strip() == "[]"
 
 
+def name_patterns(cell):
+    """Regular expressions of the names in one cell: `a.j<i>.b`, `.c` stands for a.j1.b and a.j1.c."""
+    first, *more = re.findall(r"`([^`]+)`", cell)
+    ends = [end.strip().lstrip(".") for text in [first, *more] for end in text.split(",")]
+    stem, names = first.split(",")[0].rpartition(".")[0], [ends[0].rpartition(".")[2], *ends[1:]]
+    for name in names:
+        text = re.escape(f"{stem}.{name}").replace(r"\ \.\.\.\ rz", "")
+        text = re.sub(r"<(i|a|b|k)>", r"\\d+", text.replace("<ab>", "<i>"))
+        text = re.sub(r"<\w+>", r"\\w+", text)
+        yield re.sub(r"\.x$", r".\\w+", text) if "..." in cell else text
+
+
 def test_the_table_of_parameters_names_every_pattern_with_its_unit():
-    """Every parameter of every effect on turning and sliding robots, frame and markers included."""
+    """Every parameter of every effect on turning joints, frame and markers included."""
     rows = [line for line in (ROOT / "docs" / "theory.md").read_text().splitlines() if line.startswith("| `")]
-    table = {cells[1].strip(): cells[2].strip() for cells in (row.split("|") for row in rows)}
-    text = " ".join(f"{names} {unit}" for names, unit in table.items())
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    table = [(pattern, unit) for names, unit, *rest in cells if rest for pattern in name_patterns(names)]
+    options = {"gravity_compensator": {"mode": "levels", "levels_deg": [-100.0, -50.0, 0.0]}}
     robot = load_robot("ur10")
-    for name in EFFECT_NAMES:
-        try:
-            (effect,) = bind_effects((name,), robot, flange=True)
-        except identify.InputError:
-            continue  # not built yet
+    for name in REGISTRY:
+        *_, effect = bind_effects(("joint_compliance", name), robot, options=options, flange=True)
         for parameter in effect.parameters:
-            parts = parameter.name.split(".")
-            place = "j<i>" if parts[1][1:].isdigit() else parts[1]
-            own = [(names, unit) for names, unit in table.items() if f"{parts[0]}.{place}" in names]
-            assert own, f"{parameter.name} is not in the table"
-            fitting = [unit for names, unit in own if len(parts) < 3 or f".{parts[2]}" in names or "..." in names]
-            assert any(parameter.unit in unit for unit in fitting), parameter.name
-    assert "frame.x" in text
-    assert "marker.<name>.x" in text
+            units = [unit for pattern, unit in table if re.fullmatch(pattern, parameter.name)]
+            assert any(parameter.unit in unit for unit in units), parameter.name
+    assert any(re.fullmatch(pattern, "frame.ry") for pattern, _ in table)
+    assert any(re.fullmatch(pattern, "marker.M1.z") for pattern, _ in table)
 
 
 def test_the_environment_that_the_tests_run_in_has_no_other_identify():
