@@ -14,6 +14,7 @@ import numpy as np
 
 from identify.alignment import inverse
 from identify.config import load_study
+from identify.equilibrium import linear_misses
 from identify.errors import InputError
 from identify.identification import identify
 from identify.model import Model, frame_displacement, model_of
@@ -50,7 +51,9 @@ def run_identify(study_file: Path, measurements: Path, *, seed: int) -> Outcome:
     """Identify the parameters of a study from a measurement file."""
     study = load_study(study_file)
     result = identify(study, load_measurements(measurements, study), seed=seed)
-    content = identification_json(result)
+    state = result.fit.state
+    misses = linear_misses(result.model, result.data.experiment, state.values)
+    content = {**identification_json(result), "equilibrium": study.equilibrium, "linear_misses": misses}
     return Outcome("identify", content, (*study.inputs, measurements), {}, _identify_lines(content))
 
 
@@ -77,7 +80,21 @@ def _identify_lines(content: dict[str, Any]) -> tuple[str, ...]:
             f"measured deflection: rms {content['deflection']['rms_mm']:.4f} mm, "
             f"compensated {content['compensated_percent']:.1f} %"
         )
+    lines += _misses_lines(content)
     return (*lines, *(f"note: {note}" for note in content["notes"]))
+
+
+def _misses_lines(content: dict[str, Any]) -> list[str]:
+    """What the linear model misses, and whether that is counted."""
+    misses = content["linear_misses"]
+    if misses is None:
+        return []
+    loaded = content["equilibrium"] == "loaded"
+    counted = "counted here" if loaded else 'not counted, see [model] equilibrium = "loaded"'
+    return [
+        f"the linear model misses rms {misses['rms_mm']:.4f} mm, max {misses['max_mm']:.4f} mm "
+        f"({misses['percent']:.2g} % of the deflection; {counted})"
+    ]
 
 
 def run_simulate(study_file: Path, plan_file: Path, truth_file: Path | None, *, seed: int) -> Outcome:
@@ -85,6 +102,7 @@ def run_simulate(study_file: Path, plan_file: Path, truth_file: Path | None, *, 
     study = load_study(study_file)
     plan = load_plan(plan_file, study)
     truth = Truth() if truth_file is None else load_truth(truth_file, study)
+    study = replace(study, options=truth.options if truth_file else study.options)
     model = model_of(study, truth.effects, _known_nominal(study, truth))
     values = _true_values(model, truth)
     noise = _solid(truth.noise or study.noise)
@@ -93,7 +111,8 @@ def run_simulate(study_file: Path, plan_file: Path, truth_file: Path | None, *, 
     displaced[:3, :3], displaced[:3, 3] = turn, shift
     placement = inverse(displaced) @ default_placement(noise, frame_free=study.frame_free)
     values[: model.frame_size] = 0.0
-    data = simulate(model, values, plan_experiment(plan, study), noise, placement, np.random.default_rng(seed))
+    experiment = plan_experiment(plan, study)
+    data = simulate(model, values, experiment, noise, placement, np.random.default_rng(seed))
     stated = {name: value for name, value in zip(model.names, values.tolist(), strict=True) if value}
     placement[:3, 3] /= MM
     content = {
@@ -102,9 +121,11 @@ def run_simulate(study_file: Path, plan_file: Path, truth_file: Path | None, *, 
         "frames": {"base_T_measurement": placement},
         "readings": len(data.positions),
         "poses": len(data.experiment.visits),
+        "equilibrium": study.equilibrium,
+        "linear_misses": linear_misses(model, experiment, values),
     }
     inputs = (*study.inputs, plan_file, *(() if truth_file is None else (truth_file,)))
-    lines = (f"{len(data.positions)} readings of {len(data.experiment.visits)} poses",)
+    lines = (f"{len(data.positions)} readings of {len(data.experiment.visits)} poses", *_misses_lines(content))
     return Outcome("simulate", content, inputs, {"measurements.csv": measurements_csv(data, study)}, lines)
 
 
@@ -146,10 +167,13 @@ def run_predict(study_file: Path, result_file: Path, plan_file: Path, *, seed: i
         "rows": len(position),
         "std_rms_mm": float(np.sqrt((std**2).sum(axis=1).mean()) / MM),
         "std_max_mm": float(np.linalg.norm(std, axis=1).max() / MM),
+        "equilibrium": study.equilibrium,
+        "linear_misses": linear_misses(fitted.model, experiment, fitted.values),
     }
     lines = (
         f"{len(position)} readings predicted; std of the position rms {content['std_rms_mm']:.4f} mm, "
         f"max {content['std_max_mm']:.4f} mm",
+        *_misses_lines(content),
     )
     tables = {"predicted.csv": predicted_csv(experiment, position, std)}
     return Outcome("predict", content, (*study.inputs, result_file, plan_file), tables, lines)

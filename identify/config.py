@@ -186,6 +186,7 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study
         markers_fitted=frames.markers == "nominal",
         effects=tuple(model.effects),
         reference=model.reference,
+        equilibrium=model.equilibrium,
         nominal=MappingProxyType(dict(model.nominal)),
         options=file.options,
         test_poses=tuple(test_pose(pose, robot) for pose in file.test_poses or []),

@@ -12,11 +12,12 @@ from identify.effects import Effect, Parameter, Scene, bind_effects, build_scene
 from identify.errors import InputError
 from identify.experiment import Experiment
 from identify.kinematics import forward
+from identify.loaded_scene import TOLERANCE, load_scene, spring_matrix
 from identify.robot import Robot
 from identify.study import Study
 from identify.units import MM, MRAD
 
-__all__ = ["Model", "Response", "effect_columns", "model_of", "respond", "without_nuisance"]
+__all__ = ["Model", "Response", "deflected", "effect_columns", "model_of", "respond", "without_nuisance"]
 
 _MARKER_LIMIT = 5.0  # mm; markers are better known than this without any fit
 _NUDGE = 1e-3  # mm or mrad
@@ -34,6 +35,8 @@ class Model:
         frame_size: Number of frame parameters (6 or 0).
         marker_size: Number of marker parameters (3 a marker or 0).
         self_weight: The weight of links and tool is counted.
+        loaded: Torques are taken on the deflected arm (`identify.loaded_scene`), else on the undeflected one. Effects
+            that are no pairs of springs are of first order in both.
     """
 
     robot: Robot
@@ -42,6 +45,7 @@ class Model:
     frame_size: int
     marker_size: int
     self_weight: bool
+    loaded: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -114,7 +118,8 @@ def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapp
     given = study.nominal if nominal is None else nominal
     _check_names(given, parameters)
     parameters = tuple(replace(p, nominal=float(given.get(p.name, p.nominal))) for p in parameters)
-    return Model(study.robot, bound, parameters, len(frame), len(markers), study.robot.masses_known)
+    loaded = study.equilibrium == "loaded"
+    return Model(study.robot, bound, parameters, len(frame), len(markers), study.robot.masses_known, loaded)
 
 
 def without_nuisance(model: Model) -> Model:
@@ -155,7 +160,7 @@ def respond(model: Model, experiment: Experiment, values: Floats, *, derivative:
         values: (p,) parameters in their units.
         derivative: Also compute the derivative.
     """
-    scene, deflection = _deflected(model, experiment, values)
+    scene, deflection = deflected(model, experiment, values)
     turn, shift = frame_displacement(model, values)
     position = (scene.point + deflection) @ turn.T + shift
     if not derivative:
@@ -168,8 +173,17 @@ def respond(model: Model, experiment: Experiment, values: Floats, *, derivative:
     return Response(scene, position, deflection, columns, direct)
 
 
-def _deflected(model: Model, experiment: Experiment, values: Floats) -> tuple[Scene, Floats]:
-    """The scene on the adjusted robot and the (R, 3) displacement that all effects add, m."""
+def deflected(
+    model: Model, experiment: Experiment, values: Floats, tolerance: float = TOLERANCE
+) -> tuple[Scene, Floats]:
+    """The scene on the adjusted robot and the (R, 3) displacement that all effects add, m.
+
+    Args:
+        model: The model.
+        experiment: The conditions.
+        values: (p,) parameters in their units.
+        tolerance: Of the loaded equilibrium, rad or m.
+    """
     robot = model.robot
     pairs = tuple(zip(model.effects, model.effect_slices, strict=True))
     for effect, where in pairs:
@@ -177,9 +191,14 @@ def _deflected(model: Model, experiment: Experiment, values: Floats) -> tuple[Sc
             robot = effect.adjust(robot, values[where])
     markers = marker_positions(model, experiment, values)
     scene = build_scene(experiment, forward(robot, experiment.q), markers, self_weight=model.self_weight)
+    given = [(effect, values[inputs]) for effect, inputs in zip(model.effects, model.effect_inputs, strict=True)]
     deflection = np.zeros_like(scene.point)
-    for effect, inputs in zip(model.effects, model.effect_inputs, strict=True):
-        deflection = deflection + effect.displacement(scene, values[inputs])
+    if model.loaded:
+        scene = load_scene(scene, *spring_matrix(given, robot.n), tolerance=tolerance)
+        deflection = scene.moved
+        given = [(effect, inputs) for effect, inputs in given if effect.springs is None]
+    for effect, inputs in given:
+        deflection = deflection + effect.displacement(scene, inputs)
     return scene, deflection
 
 
@@ -197,7 +216,7 @@ def _with_bending(direct: Floats, model: Model, experiment: Experiment, values: 
     for index in moved:
         nudged = values.copy()
         nudged[index] += _NUDGE
-        change = (_deflected(model, experiment, nudged)[1] - deflection) / _NUDGE
+        change = (deflected(model, experiment, nudged)[1] - deflection) / _NUDGE
         if len(index) == 1:
             columns[:, :, index[0]] += change
         else:  # every row has its own marker

@@ -127,6 +127,7 @@ class ModelSection(Section):
 
     effects: list[Text] = ["joint_compliance"]
     reference: Literal["absolute", "differences", "auto"] = "auto"
+    equilibrium: Literal["linear", "loaded"] = "linear"
     nominal: dict[str, Number] = {}
 
 

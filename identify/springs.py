@@ -25,6 +25,7 @@ from identify.robot import Robot
 __all__ = [
     "Springs",
     "base_springs",
+    "carried",
     "cross",
     "joint_springs",
     "link_springs",
@@ -134,18 +135,28 @@ def self_weight_torque(springs: Springs, frames: Frames) -> Floats:
     Zero contribution where a mass is unknown; whether that is acceptable is the caller's decision
     (`identify` then analyses differences only).
     """
+    weight, arm = carried(springs, frames)
+    if not weight.any():
+        return np.zeros(springs.axis.shape[:2])
+    g = frames.robot.gravity_base
+    turning = np.einsum("vsi,vsi->vs", springs.axis, cross(arm, g))
+    return np.where(springs.slides, weight * (springs.axis @ g), turning)
+
+
+def carried(springs: Springs, frames: Frames) -> tuple[Floats, Floats]:
+    """Mass that each spring carries (s,), kg, and its first moment about the spring's origin (V, s, 3), kg m.
+
+    Links of unknown mass count nothing.
+    """
     robot = frames.robot
     masses = np.append(np.where(np.isfinite(robot.masses), robot.masses, 0.0), robot.tool_mass)
     if not masses.any():
-        return np.zeros(springs.axis.shape[:2])
+        return np.zeros(springs.axis.shape[1]), np.zeros_like(springs.axis)
     centres = np.concatenate([frames.centre, frames.point(robot.tool_centre)[:, None]], axis=1)
-    carried = np.cumsum(masses[::-1])[::-1]
+    above = np.cumsum(masses[::-1])[::-1]
     moments = np.cumsum((masses[:, None] * centres)[:, ::-1], axis=1)[:, ::-1]
-    weight = carried[springs.first_link]
-    arm = moments[:, springs.first_link] - weight[:, None] * springs.origin
-    g = robot.gravity_base
-    turning = np.einsum("vsi,vsi->vs", springs.axis, cross(arm, g))
-    return np.where(springs.slides, weight * (springs.axis @ g), turning)
+    weight = above[springs.first_link]
+    return weight, moments[:, springs.first_link] - weight[:, None] * springs.origin
 
 
 def cross(a: Floats, b: Floats) -> Floats:

@@ -20,6 +20,7 @@ __all__ = ["Constraints", "Noise", "PlanSettings", "ReduceSettings", "Study", "T
 
 Criterion = Literal["test_pose", "A", "D", "E", "G"]
 Reference = Literal["absolute", "differences", "auto"]
+Equilibrium = Literal["linear", "loaded"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +175,7 @@ class Study:
         markers_fitted: Marker positions are fitted; else taken as they stand.
         effects: What the simulation contains: ``name`` or ``name@where``.
         reference: absolute, differences or auto.
+        equilibrium: Torques on the undeflected arm (linear) or on the deflected one (loaded).
         nominal: Starting values by parameter name, in the units of the results.
         options: Options of effects, by effect name.
         test_poses: Where accuracy counts.
@@ -192,6 +194,7 @@ class Study:
     markers_fitted: bool = True
     effects: tuple[str, ...] = ("joint_compliance",)
     reference: Reference = "auto"
+    equilibrium: Equilibrium = "linear"
     nominal: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: MappingProxyType({}))
     test_poses: tuple[TestPose, ...] = ()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from identify.effects.base import Binding, Effect, Fields, Parameter, Scene, build_scene
+from identify.effects.base import Binding, Effect, Fields, Parameter, Scene, SpringSet, build_scene
 from identify.effects.compensator import gravity_compensator
 from identify.effects.compliance import joint_compliance, link_compliance
 from identify.effects.geometry import geometry
@@ -13,7 +13,7 @@ from identify.effects.special_compliance import base_compliance, joint_cross_com
 from identify.errors import InputError
 from identify.robot import Robot
 
-__all__ = ["REGISTRY", "Binding", "Effect", "Fields", "Parameter", "Scene", "bind_effects", "build_scene"]
+__all__ = ["REGISTRY", "Binding", "Effect", "Fields", "Parameter", "Scene", "SpringSet", "bind_effects", "build_scene"]
 
 #: Name of an effect -> how it is bound to a robot.
 REGISTRY: dict[str, Callable[[Binding], Effect]] = {
