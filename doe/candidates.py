@@ -18,6 +18,7 @@ import numpy as np
 
 from doe.feasible import FEASIBLE, Screen, count_reasons, joint_range, screen
 from identify.arrays import Floats, Ints, frozen
+from identify.effects import bind_effects
 from identify.errors import Infeasible, InputError
 from identify.study import Study
 
@@ -203,8 +204,13 @@ def _search(tests: Screen, choices: Ints, ends: tuple[Floats, Floats], poses: in
     parts: list[tuple[Floats, Ints, Ints]] = []
     rejected: Counter[str] = Counter()
     drawn, stood, room, enough = 0, 0, max(study.plan.candidates, 1), False
+    stops = _stops(study)
     while not enough and drawn < _most(poses):
-        q = rounded(study, lower + (upper - lower) * sequence.random(batch))
+        share = sequence.random(batch)
+        q = lower + (upper - lower) * share
+        for joint, values in stops.items():
+            q[:, joint] = values[(share[:, joint] * len(values)).astype(np.int64)]
+        q = rounded(study, q)
         codes = tests.codes(q)[:, choices].min(axis=2)
         taken, enough = _taken((codes == FEASIBLE).sum(axis=1), room, stood == 0)
         pose, choice = np.nonzero(codes[:taken] == FEASIBLE)
@@ -215,6 +221,12 @@ def _search(tests: Screen, choices: Ints, ends: tuple[Floats, Floats], poses: in
         batch = min(2 * batch, largest)
     kept_q, pose, choice = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     return Candidates(kept_q, pose, choices[choice], drawn * len(choices), rejected, tests.capsules.always)
+
+
+def _stops(study: Study) -> dict[int, Floats]:
+    """Joints that stop at certain values only, because an effect of the study is defined there alone."""
+    effects = bind_effects(study.effects, study.robot, options=study.options, flange=not study.markers_fitted)
+    return {joint: values for effect in effects for joint, values in effect.stops.items()}
 
 
 def _taken(feasible: Ints, room: int, first: bool) -> tuple[int, bool]:

@@ -11,6 +11,7 @@ from doe.accuracy import Accuracy, accuracy, radius
 from doe.bounds import Bound
 from doe.candidates import Candidates
 from doe.evaluate import evaluate
+from doe.joint_only import joint_only
 from doe.objective import Objective
 from doe.observations import Observer
 from doe.plan import Plan, plan
@@ -33,12 +34,14 @@ def run_plan(study_file: Path, *, seed: int) -> Outcome:
     study = load_study(study_file)
     made = plan(study, seed=seed)
     reached = _accuracy(study, made.pool.objective, made.covariance)
+    simple = joint_only(made, seed=seed)
     content = {
         **_judgement(made.pool.observer, made.pool.known, made.pool.objective, made.final, reached),
         "grid": _bound(made.grid),
         "poses": len(made.q),
         "different_poses": len(np.unique(made.q, axis=0)),
         "refinement": _refinement(made),
+        "joint_only": None if simple is None else {"value": simple.value, "times": simple.times, "rank": simple.rank},
         "std": _std(made.covariance),
         **_counts(made.pool.candidates),
         "time_s": None,
@@ -184,6 +187,15 @@ def _lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
         )
     if content.get("refinement") is not None:
         lines.append(f"refining the joint angles gained {content['refinement']['gained_percent']:.1f} %")
+    simple = content.get("joint_only")
+    if simple is not None:
+        missed = content["rank"] - simple["rank"]
+        worth = (
+            f"would not show {missed} of the {content['rank']} parameters"
+            if missed
+            else f"is {simple['times']:.3g} times worse"
+        )
+        lines.append(f"a plan made for joint compliances alone {worth}")
     lines += [f"not identifiable: {name}: {why}" for name, why in content["why_nonidentifiable"].items()]
     rejected = ", ".join(f"{reason} {number}" for reason, number in content["rejected"].items() if number)
     if rejected:

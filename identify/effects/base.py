@@ -169,6 +169,7 @@ class Effect:
         springs: The set of springs that its terms count in, if it is a sum over pairs of springs.
         terms: These pairs, one a parameter.
         held: Pairs that yield too and are not fitted, with their values in their units.
+        stops: Joint values (rad or m), by joint index, at which alone it is defined: candidates stop there.
     """
 
     name: str
@@ -182,6 +183,7 @@ class Effect:
     springs: SpringSet | None = None
     terms: tuple[Term, ...] = ()
     held: tuple[tuple[Term, float], ...] = ()
+    stops: Mapping[int, Floats] = field(default_factory=lambda: MappingProxyType({}))
 
 
 def build_scene(experiment: Experiment, frames: Frames, positions: Floats, *, self_weight: bool) -> Scene:

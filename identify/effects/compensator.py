@@ -61,6 +61,7 @@ class _Part:
     borrowed: tuple[str, ...]
     turn: Turn
     why_zero: Callable[[int], str]
+    levels: Floats | None = None
 
 
 def gravity_compensator(binding: Binding) -> Effect:
@@ -115,6 +116,7 @@ def gravity_compensator(binding: Binding) -> Effect:
         derivative,
         why_zero,
         borrowed=tuple(name for part in parts for name in part.borrowed),
+        stops={part.joint: part.levels for part in parts if part.levels is not None},
     )
 
 
@@ -170,7 +172,7 @@ def _levels(joint: int, levels: Floats, tolerance: float) -> _Part:
             "or no load puts a torque on this joint there"
         )
 
-    return _Part(joint, parameters, (), turn, why_zero)
+    return _Part(joint, parameters, (), turn, why_zero, levels)
 
 
 # --- springs
