@@ -83,8 +83,8 @@ def _notes(content: list[dict[str, Any]]) -> list[str]:
         least = row["parameters"] if row["heldout"] is None else row["heldout"]["parameters_least"]
         if least < row["parameters"]:
             notes.append(
-                f"note: {row['name']}: without a fold of the poses only {least} of {row['parameters']} parameters can be "
-                "told, the others are nominal there; held-out errors are too large for that reason"
+                f"note: {row['name']}: without a fold of the poses only {least} of {row['parameters']} parameters can "
+                "be told, the others are nominal there; held-out errors are too large for that reason"
             )
     return notes
 
