@@ -104,18 +104,26 @@ def simulate(study: Path, plan: Path, *, truth: Path | None = None, out: Path, c
 
 
 @app.command
-def identify(study: Path, measurements: Path, *, out: Path, common: Common = _DEFAULT) -> int:
+def identify(
+    study: Path,
+    measurements: Path,
+    *,
+    out: Path,
+    compare: Annotated[bool, Parameter(negative="")] = False,
+    common: Common = _DEFAULT,
+) -> int:
     """Fit the parameters of the study to measurements.
 
     Args:
         study: Study file (TOML).
         measurements: Measured positions (CSV).
         out: Folder for identify.json.
+        compare: Also fit and judge other models: those of [[models]], else joints alone and complete links.
         common: Options that every command has.
     """
     from identify.commands import run_identify
 
-    return _finish(lambda: run_identify(study, measurements, seed=common.seed), out, common)
+    return _finish(lambda: run_identify(study, measurements, seed=common.seed, compare_models=compare), out, common)
 
 
 @app.command

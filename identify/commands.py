@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 
 from identify.alignment import inverse
+from identify.compare import compare
+from identify.comparison_table import comparison_json, comparison_lines
 from identify.config import load_study
 from identify.equilibrium import linear_misses
 from identify.errors import InputError
@@ -47,14 +49,18 @@ class Outcome:
     lines: tuple[str, ...]
 
 
-def run_identify(study_file: Path, measurements: Path, *, seed: int) -> Outcome:
-    """Identify the parameters of a study from a measurement file."""
+def run_identify(study_file: Path, measurements: Path, *, seed: int, compare_models: bool = False) -> Outcome:
+    """Identify the parameters of a study; compare models if asked for, or where the study lists some."""
     study = load_study(study_file)
     result = identify(study, load_measurements(measurements, study), seed=seed)
     state = result.fit.state
     misses = linear_misses(result.model, result.data.experiment, state.values)
     content = {**identification_json(result), "equilibrium": study.equilibrium, "linear_misses": misses}
-    return Outcome("identify", content, (*study.inputs, measurements), {}, _identify_lines(content))
+    lines = list(_identify_lines(content))
+    if compare_models or study.models:
+        content["comparison"] = comparison_json(compare(study, result.data, result.reference, seed=seed))
+        lines += ["", *comparison_lines(content["comparison"])]
+    return Outcome("identify", content, (*study.inputs, measurements), {}, tuple(lines))
 
 
 def _identify_lines(content: dict[str, Any]) -> tuple[str, ...]:

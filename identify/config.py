@@ -24,6 +24,7 @@ from identify.schema import (
     STUDY_SECTIONS,
     ConstraintsSection,
     FramesSection,
+    ModelChoiceSection,
     ModelSection,
     NoiseSection,
     PlanSection,
@@ -32,7 +33,7 @@ from identify.schema import (
     StudyFile,
     ToolSection,
 )
-from identify.study import Noise, Study
+from identify.study import ModelChoice, Noise, Study
 from identify.study_checks import check_study
 from identify.study_records import (
     constraints,
@@ -79,9 +80,9 @@ def load_study(path: str | Path) -> Study:
 def _tables(data: Mapping[str, Any], problems: Problems) -> StudyFile:
     """Every table on its own, so that a mistake in one does not hide those in others."""
     for name in data:
-        if name in STUDY_SECTIONS:
+        if name in STUDY_SECTIONS or name == "models":
             continue
-        problems.add(f"[{name}]", unknown("table", name, list(STUDY_SECTIONS)))
+        problems.add(f"[{name}]", unknown("table", name, [*STUDY_SECTIONS, "models"]))
     for name in ("robot", "markers", "noise"):
         if name not in data:
             problems.add(f"[{name}]", "is missing")
@@ -94,7 +95,22 @@ def _tables(data: Mapping[str, Any], problems: Problems) -> StudyFile:
             found[name] = _list(schema, tables.get(name, []), name, problems)
         elif name in tables or name not in {"robot", "noise"}:
             found[name] = problems.check(schema, tables.get(name, {}), f"[{name}]")
-    return StudyFile(**{"robot": None, "noise": None, **found}, options=options)
+    models = _models(data.get("models", []), problems)
+    return StudyFile(**{"robot": None, "noise": None, **found}, options=options, models=models)
+
+
+def _models(tables: object, problems: Problems) -> list[tuple[ModelChoiceSection, Mapping[str, Mapping[str, Any]]]]:
+    """The models to compare, each with its own options."""
+    if not isinstance(tables, list):
+        problems.add("[models]", "a list of tables expected, each begins with [[models]]")
+        return []
+    found = []
+    for i, table in enumerate(tables):
+        own, options = split_options(table, ModelChoiceSection, f"[[models]] {i + 1}", problems)
+        choice = problems.check(ModelChoiceSection, own, f"[[models]] {i + 1}")
+        if choice is not None:
+            found.append((choice, options))
+    return found
 
 
 def _list(schema: type[_T], tables: object, name: str, problems: Problems) -> list[_T] | None:
@@ -193,5 +209,9 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study
         plan=plan_settings(file.plan or PlanSection(), loads),
         constraints=constraints(file.constraints or ConstraintsSection()),
         reduce=reduce_settings(file.reduce or ReduceSection()),
+        models=tuple(
+            ModelChoice(choice.name, tuple(choice.effects), MappingProxyType({**file.options, **own}))
+            for choice, own in file.models
+        ),
         inputs=(path, robot_file),
     )

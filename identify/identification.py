@@ -19,7 +19,7 @@ from identify.selection import load_changes, rows_of_visits, take_rows
 from identify.study import Study
 from identify.uncertainty import load_share, stated_covariance, visit_covariance
 
-__all__ = ["Heldout", "Identification", "Misfit", "heldout_misfit", "identify"]
+__all__ = ["Heldout", "Identification", "Misfit", "fit_differences", "heldout_misfit", "identify", "misfit_of"]
 
 _REJECTED = 1e-3  # the fit is rejected if chi2 is this improbable
 _HELDOUT_SHARE = 0.4
@@ -114,7 +114,7 @@ class Identification:
     @property
     def misfit(self) -> Misfit:
         """Errors after the fit, all rows."""
-        return _misfit(self.data, self.fit.residual, self.reference, np.arange(len(self.fit.residual)))
+        return misfit_of(self.data, self.fit.residual, self.reference, np.arange(len(self.fit.residual)))
 
     @property
     def deflection(self) -> tuple[Misfit, Misfit]:
@@ -187,7 +187,7 @@ def _choose_reference(
         wanted = "differences"
         notes = ("link masses are unknown: only changes between loads are used (reference differences)",)
     if wanted == "differences":
-        return _fit_differences(study, model, data), "differences", notes
+        return fit_differences(study, model, data), "differences", notes
     if elastic and not study.robot.masses_known:
         notes = ("link masses are unknown: self-weight is left out",)
     absolute = fit(model, data, study.noise, start(model, data))
@@ -195,7 +195,7 @@ def _choose_reference(
     if wanted == "absolute" or trusts_geometry or not (loaded and elastic) or not _is_rejected(absolute):
         return absolute, "absolute", notes
     note = "absolute readings contradict the model (geometry is not in it): only changes between loads are used"
-    return _fit_differences(study, model, data, absolute.state), "differences", (note,)
+    return fit_differences(study, model, data, absolute.state), "differences", (note,)
 
 
 def _is_rejected(found: Fit) -> bool:
@@ -210,7 +210,7 @@ def _compares_loads(data: Measurements) -> bool:
     return len(np.unique(key)) < len(key)
 
 
-def _fit_differences(study: Study, model: Model, data: Measurements, state: State | None = None) -> Fit:
+def fit_differences(study: Study, model: Model, data: Measurements, state: State | None = None) -> Fit:
     """Effects from changes within visits, frame and markers from the visits' offsets, in turn until both stand."""
     state = state or start(model, data)
     nuisance = model.nuisance
@@ -297,7 +297,7 @@ def _notes(found: Fit, kind: str, lack: LackOfFit, worst: np.ndarray) -> tuple[s
     return tuple(notes)
 
 
-def _misfit(data: Measurements, residual: Floats, reference: str, rows: Ints) -> Misfit:
+def misfit_of(data: Measurements, residual: Floats, reference: str, rows: Ints) -> Misfit:
     """Errors of some rows (ascending): positions, or changes under load."""
     if reference == "absolute":
         return Misfit(residual[rows], rows)
@@ -346,12 +346,12 @@ def heldout_misfit(study: Study, found: Fit, reference: str, judged: np.ndarray,
     if reference == "absolute":
         trained = fit(model, part, study.noise, begin)
     else:
-        trained = _fit_differences(study, model, part, begin)
+        trained = fit_differences(study, model, part, begin)
     response = respond(model, found.data.experiment, trained.state.values, derivative=False)
     placement = trained.state.base_T_measurement
     residual = found.data.positions @ placement[:3, :3].T + placement[:3, 3] - response.position
     rows = np.flatnonzero(judged[found.data.experiment.row_visit] & fine)
-    return _misfit(found.data, residual, reference, rows)
+    return misfit_of(found.data, residual, reference, rows)
 
 
 def _frame_values(placement: Floats) -> Floats:

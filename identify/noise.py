@@ -40,7 +40,7 @@ class Whitening:
 
     def apply(self, rows: Floats) -> Floats:
         """Whiten (R, 3) residuals or (R, 3, p) columns -> (K,) or (K, p), visits in the order of groups."""
-        blocks = [block.reshape(-1, *rows.shape[2:]) for block in self.blocks(rows)]
+        blocks = [block.reshape(block.shape[0] * block.shape[1], *rows.shape[2:]) for block in self.blocks(rows)]
         shape = (0, *rows.shape[2:])
         return np.concatenate(blocks) if blocks else np.zeros(shape)
 

@@ -19,6 +19,7 @@ __all__ = [
     "ConstraintsSection",
     "FramesSection",
     "LoadSection",
+    "ModelChoiceSection",
     "ModelSection",
     "NoiseSection",
     "PlanSection",
@@ -131,6 +132,13 @@ class ModelSection(Section):
     nominal: dict[str, Number] = {}
 
 
+class ModelChoiceSection(Section):
+    """One of ``[[models]]`` without the tables of options."""
+
+    name: Id
+    effects: list[Text]
+
+
 class TestPoseSection(Section):
     """One of ``[[test_poses]]``."""
 
@@ -232,3 +240,4 @@ class StudyFile:
     constraints: ConstraintsSection | None
     reduce: ReduceSection | None
     options: Mapping[str, Mapping[str, Any]]
+    models: list[tuple[ModelChoiceSection, Mapping[str, Mapping[str, Any]]]]

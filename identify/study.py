@@ -16,7 +16,7 @@ from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 from identify.units import DEG, MM
 
-__all__ = ["Constraints", "Noise", "PlanSettings", "ReduceSettings", "Study", "TestPose", "Tracker"]
+__all__ = ["Constraints", "ModelChoice", "Noise", "PlanSettings", "ReduceSettings", "Study", "TestPose", "Tracker"]
 
 Criterion = Literal["test_pose", "A", "D", "E", "G"]
 Reference = Literal["absolute", "differences", "auto"]
@@ -162,6 +162,21 @@ class ReduceSettings:
 
 
 @dataclass(frozen=True, eq=False)
+class ModelChoice:
+    """A model to compare with others (``[[models]]``).
+
+    Attributes:
+        name: Its name in the table.
+        effects: Its effects.
+        options: Options of effects: the study's, with whole tables replaced by those of the model.
+    """
+
+    name: str
+    effects: tuple[str, ...]
+    options: Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True, eq=False)
 class Study:
     """A validated study.
 
@@ -182,6 +197,7 @@ class Study:
         plan: What the plan is asked for.
         constraints: What poses must keep to.
         reduce: How the model is reduced.
+        models: Models to compare.
         inputs: Every file the study was read from.
     """
 
@@ -201,6 +217,7 @@ class Study:
     plan: PlanSettings = field(default_factory=PlanSettings)
     constraints: Constraints = field(default_factory=Constraints)
     reduce: ReduceSettings = field(default_factory=ReduceSettings)
+    models: tuple[ModelChoice, ...] = ()
     inputs: tuple[Path, ...] = ()
 
     @property

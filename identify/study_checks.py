@@ -34,6 +34,10 @@ def check_study(file: StudyFile, robot: Robot | None, problems: Problems) -> Non
         _check_noise(file.noise, problems)
     if file.model is not None:
         check_effects(file.model.effects, "[model] effects", problems)
+    for i, (choice, _) in enumerate(file.models):
+        check_effects(choice.effects, f"[[models]] {i + 1} effects", problems)
+        if choice.name in [other.name for other, _ in file.models[:i]]:
+            problems.add(f"[[models]] {i + 1} name", "stands twice; every model needs its own", choice.name)
     if file.plan is not None:
         _check_plan(file.plan, file.loads, problems)
     if file.reduce is not None and robot is not None:
