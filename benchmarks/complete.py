@@ -11,11 +11,13 @@ from benchmarks.clock import line, peak_mb, timed
 from doe.candidates import candidates
 from doe.observations import identifiable, observer
 from identify import load_study
+from identify.compare import compare
 from identify.experiment import full_experiment
 from identify.identification import identify
 from identify.model import model_of
 from identify.reduction import reduce
 from identify.simulate import simulate
+from identify.tables import load_plan, plan_experiment
 
 STUDY = Path(__file__).parents[1] / "configs" / "studies" / "kr270_complete.toml"
 LEVELS = [-100.0, -75.0, -50.0, -25.0, -5.0]
@@ -30,7 +32,18 @@ def main() -> None:
     line(what, f"{wall:.2f} s wall {cpu:.2f} s CPU", "under 1 s")
     _, wall, cpu = timed(lambda: reduce(study, configurations=80))
     line("reduction of 258 parameters, 80 configurations", f"{wall:.2f} s wall {cpu:.2f} s CPU", "under 0.5 s")
+    twin()
     many()
+
+
+def twin() -> None:
+    """Five models on the twin's 15 poses, held-out fits included."""
+    study = load_study(STUDY.with_name("kr270_compare.toml"))
+    poses = plan_experiment(load_plan(STUDY.with_name("kr270_compare_poses.csv"), study), study)
+    model = model_of(study)
+    data = simulate(model, model.nominal, poses, study.noise, np.eye(4), np.random.default_rng(0))
+    _, wall, cpu = timed(lambda: compare(study, data, "differences"))
+    line("comparison of models, 15 poses, with 5-fold fits", f"{wall:.2f} s wall {cpu:.2f} s CPU", "under 1 s")
 
 
 def many() -> None:

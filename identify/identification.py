@@ -121,8 +121,8 @@ class Identification:
         """Measured deflection and what the model leaves of it, without `worst`; empty without loads."""
         rows = np.setdiff1d(np.arange(len(self.residuals)), self.worst)
         measured = self.fit.response.position + self.residuals
-        before = _misfit(self.data, measured, "differences", rows)
-        return before, _misfit(self.data, self.residuals, "differences", rows)
+        before = misfit_of(self.data, measured, "differences", rows)
+        return before, misfit_of(self.data, self.residuals, "differences", rows)
 
     @property
     def compensated_percent(self) -> float | None:

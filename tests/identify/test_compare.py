@@ -1,7 +1,6 @@
 """Comparison of models: the published order on the twin of a KR 270, what the table says, and bad lists of models."""
 
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -65,14 +64,6 @@ def test_the_complete_model_leaves_normal_residuals_and_joints_do_not(draws):
     p = np.array([[line.normality.p_value for line in lines] for lines in draws])
     assert np.median(p[:, 3]) > 0.05
     assert (p[:, 1] < 0.01).mean() > 0.9
-
-
-def test_four_models_take_less_than_a_second(twin):
-    study, draw = twin
-    data = draw(0)
-    begin = time.process_time()
-    compare(study, data, "differences")
-    assert time.process_time() - begin < 2.0  # measured 0.2 s; machines differ
 
 
 def test_a_line_is_what_identify_says_of_that_model(twin, draws):

@@ -1,7 +1,6 @@
 """URDF files: the same robot as Pinocchio reads, and hostile or broken files against their messages."""
 
 import math
-import time
 
 import numpy as np
 import pinocchio as pin
@@ -327,11 +326,9 @@ OUTSIDE = '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/hostname">]><robot name="
     [LAUGHS, OUTSIDE, '<?xml version="1.0" encoding="UTF-16"?>'.encode("utf-16") + LAUGHS.encode("utf-16")[2:]],
 )
 def test_entities_are_refused_before_they_are_read(tmp_path, content):
-    start = time.perf_counter()
     message = error_of(tmp_path, content)
     assert "<!DOCTYPE> is refused" in message
     assert "line 1" in message
-    assert time.perf_counter() - start < 1.0
 
 
 @pytest.mark.parametrize(
