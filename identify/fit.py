@@ -226,7 +226,7 @@ def _chi2_seen_from(current: Fit, trial: Fit) -> float:
 def _evaluate(problem: _Problem, state: State, known: Identifiability | None = None) -> Fit:
     """Residuals, whitening, columns and row distances at a state; what is identifiable is decided if not given."""
     model, data, noise, free = problem.model, problem.data, problem.noise, problem.free
-    response = respond(model, data.experiment, state.values)
+    response = respond(model, data.experiment, state.values, wanted=free)
     placement = state.base_T_measurement
     residual = data.positions @ placement[:3, :3].T + placement[:3, 3] - response.position
     station = _station(noise, placement)

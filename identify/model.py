@@ -151,7 +151,14 @@ def _marker_parameters(study: Study) -> tuple[Parameter, ...]:
     )
 
 
-def respond(model: Model, experiment: Experiment, values: Floats, *, derivative: bool = True) -> Response:
+def respond(
+    model: Model,
+    experiment: Experiment,
+    values: Floats,
+    *,
+    derivative: bool = True,
+    wanted: np.ndarray | None = None,
+) -> Response:
     """Where every row should be read, and how that depends on the parameters.
 
     Args:
@@ -159,15 +166,19 @@ def respond(model: Model, experiment: Experiment, values: Floats, *, derivative:
         experiment: The conditions.
         values: (p,) parameters in their units.
         derivative: Also compute the derivative.
+        wanted: (p,) True for columns that are needed (all by default); others may be zero.
     """
+    wanted = np.ones(len(model.parameters), dtype=bool) if wanted is None else wanted
     scene, deflection = deflected(model, experiment, values)
     turn, shift = frame_displacement(model, values)
     position = (scene.point + deflection) @ turn.T + shift
     if not derivative:
         nothing = np.zeros((*position.shape, 0))
         return Response(scene, position, deflection, nothing, nothing)
-    direct = _derivative(model, scene, scene.point @ turn.T + shift, values)
-    columns = _with_bending(direct, model, experiment, values, deflection) if deflection.any() else direct
+    direct = _derivative(model, scene, scene.point @ turn.T + shift, values, wanted)
+    columns = direct
+    if deflection.any():
+        columns = _with_bending(direct, model, experiment, values, deflection, wanted)
     if model.frame_size and columns is not direct:
         columns[:, :, 3:6] = -MRAD * skew(position)
     return Response(scene, position, deflection, columns, direct)
@@ -202,17 +213,22 @@ def deflected(
     return scene, deflection
 
 
-def _with_bending(direct: Floats, model: Model, experiment: Experiment, values: Floats, deflection: Floats) -> Floats:
+def _with_bending(
+    direct: Floats, model: Model, experiment: Experiment, values: Floats, deflection: Floats, wanted: np.ndarray
+) -> Floats:
     """Add how the deflection itself changes when geometry or markers move: the second-order part of their columns.
 
     By forward differences of a small term (a step of 1 um or 1 urad in a field of some mm).
     """
-    columns = direct.copy()
     moved = [np.arange(model.frame_size + axis, model.frame_size + model.marker_size, 3) for axis in range(3)]
     moved = moved if model.marker_size else []
     for effect, where in zip(model.effects, model.effect_slices, strict=True):
         if effect.adjust is not None:
             moved += [np.array([column]) for column in range(where.start, where.stop)]
+    moved = [index for index in moved if wanted[index].any()]
+    if not moved and not wanted[: model.frame_size].any():
+        return direct
+    columns = direct.copy()
     for index in moved:
         nudged = values.copy()
         nudged[index] += _NUDGE
@@ -241,9 +257,9 @@ def frame_displacement(model: Model, values: Floats) -> tuple[Floats, Floats]:
     return rotation_of(values[3:6] * MRAD), values[:3] * MM
 
 
-def _derivative(model: Model, scene: Scene, position: Floats, values: Floats) -> Floats:
+def _derivative(model: Model, scene: Scene, position: Floats, values: Floats, wanted: np.ndarray) -> Floats:
     """(R, 3, p); the turn of the frame parameters, which are small, is left out of the other columns."""
-    columns = effect_columns(model, scene, values)
+    columns = effect_columns(model, scene, values, wanted)
     if model.frame_size:
         columns[:, :, :3] = MM * np.eye(3)
         columns[:, :, 3:6] = -MRAD * skew(position)
@@ -252,15 +268,17 @@ def _derivative(model: Model, scene: Scene, position: Floats, values: Floats) ->
     return columns
 
 
-def effect_columns(model: Model, scene: Scene, values: Floats) -> Floats:
+def effect_columns(model: Model, scene: Scene, values: Floats, wanted: np.ndarray | None = None) -> Floats:
     """(R, 3, p) derivative of the displacement by the effects' parameters, m per unit; zero for frame and markers.
 
-    What an effect says about parameters that it borrows adds to their own columns.
+    What an effect says about parameters that it borrows adds to their own columns. Effects of which nothing is
+    ``wanted`` (p,) stay zero.
     """
-    columns = np.empty((len(scene.point), 3, len(model.parameters)))
-    columns[:, :, : model.frame_size + model.marker_size] = 0.0
+    columns = np.zeros((len(scene.point), 3, len(model.parameters)))
     lent = []
     for effect, where, inputs in zip(model.effects, model.effect_slices, model.effect_inputs, strict=True):
+        if wanted is not None and not wanted[inputs].any():
+            continue
         part = effect.derivative(scene, values[inputs])
         own = len(effect.parameters)
         columns[:, :, where] = part[:, :, :own]
