@@ -19,7 +19,7 @@ SPRING_RATE, FREE_LENGTH = 1e7, 0.458  # N/m, m; far stronger than a real one, s
 LEVELS = [-100.0, -75.0, -50.0, -25.0, -5.0]  # joint 2 stands at one of these, deg
 PER_LEVEL = 3  # poses at each
 NOISE = 0.12  # effective noise of a measured deflection, mm per coordinate, 1 sigma
-DRAWS = 6  # simulated measurements for the table of section 3
+DRAWS = 12  # simulated measurements of the same poses for sections 3 and 4
 SEED = 0
 
 # %% [markdown]
@@ -259,9 +259,12 @@ for name in models:
     )
 
 # %% [markdown]
-# Joints alone leave a good part of the deflection, and a value of joint 2 for every angle hardly helps. The links make
-# the difference. At new poses the complete model loses a little, for 15 poses are few for 26 parameters; it stays
-# far ahead.
+# Joints alone leave three quarters of a millimetre, and a value of joint 2 for every angle hardly helps. The links make
+# the difference. Our robot deflects more than the paper's, so the same rests are smaller percentages.
+#
+# The paper shows fitted poses only. At other poses the complete model loses a little, for 15 poses are few for 26
+# parameters; it stays far ahead. The values per angle of joint 2 (J2, C2) pay at fitted poses, at others they cost about
+# as much as they bring.
 #
 # What the joints-only model leaves is no noise: its residuals are wider than a normal distribution of the stated noise.
 # Those of the complete model have the width of the noise.
@@ -271,11 +274,14 @@ shown = {name: load_changes(experiment, fits[name][0].residuals)[0] / MM for nam
 lengths = {"rigid robot": fits["C2"][0].deflection[0].error / MM, "joints only (J2)": shown["J2"],
            "complete (C2)": shown["C2"]}
 figure = view.canvas(2)
-view.error_histogram({name: np.linalg.norm(rows, axis=1) for name, rows in lengths.items()},
-                     what="unexplained shift of a reflector", axes=figure.axes[0])
+_, loaded = load_changes(experiment, fits["C2"][0].residuals)
+view.error_by_pose({name: np.linalg.norm(rows, axis=1) for name, rows in lengths.items()},
+                   experiment.row_visit[loaded], experiment.visits, what="unexplained shift", axes=figure.axes[0])
+figure.axes[0].legend(frameon=False, fontsize=8, loc="lower left", ncols=3, columnspacing=1.0, handletextpad=0.2)
+figure.axes[0].set_ylim(bottom=0.06)
 axes = figure.axes[1]
 edges = np.linspace(-1.0, 1.0, 34) * 1.05 * np.abs(shown["J2"]).max()
-for name, colour in (("J2", view.BEFORE), ("C2", view.AFTER)):
+for name, colour in (("J2", "#17708a"), ("C2", "#8d5a97")):  # as in the left panel
     every = np.concatenate([load_changes(experiment, found.residuals)[0] for found in fits[name]]).ravel() / MM
     axes.hist(every, bins=edges, density=True, histtype="stepfilled", alpha=0.45, color=colour)
     axes.plot([], [], color=colour, lw=6, alpha=0.45, label=f"{name}, {DRAWS} measurements")
@@ -289,7 +295,7 @@ figure
 
 # %%
 for name, rows in shown.items():
-    print(f"{name}: normal distribution (Shapiro-Wilk), p = {stats.shapiro(rows.ravel()).pvalue:.3f}")
+    print(f"{name}: normal distribution (Shapiro-Wilk), p = {stats.shapiro(rows.ravel()).pvalue:.2g}")
 for name in models:
     print(f"{name}: chi2 says that model and stated noise fit, p = {fits[name][0].lack_of_fit.p_value:.2g}")
 
@@ -311,40 +317,48 @@ held = replace(models["C2"], options={
     **models["C2"].options,
     "link_compliance": {**tables, "link0": {"template": []}, "constants": {**tables.get("constants", {}), **foot}},
 })
-levels = joint_levels(identify(held, measure(experiment, 0), seed=SEED))
+each = [joint_levels(identify(held, measure(experiment, draw), seed=SEED)) for draw in range(DRAWS)]
+mean = np.mean([found.compliance for found in each], axis=0)
+averaged = each[0]._replace(compliance=mean, covariance=np.mean([found.covariance for found in each], axis=0) / DRAWS)
 faint = Noise(reading=1e-9)
 perfect = joint_levels(identify(replace(held, noise=faint), measure(experiment_at(wide), 0, faint), seed=SEED))
 share = perfect.compliance - 1.0 / stiffness(at)  # of the links, rad/Nm
-spring = spring_from_levels(*levels, geometry)
+springs = [spring_from_levels(*levels, geometry) for levels in (each[0], averaged)]
 print(f"links in it: {share.mean() / URAD:.3f} urad/Nm, the same at all angles to {np.ptp(share) / URAD:.1g}")
-p_value = stats.chi2.sf(spring.chi2, spring.dof)
-print(f"spring through five levels: chi2 {spring.chi2:.2f}, {spring.dof} degrees of freedom, p = {p_value:.2f}")
+p_values = [stats.chi2.sf(spring.chi2, spring.dof) for spring in springs]
+for times, spring, p_value in zip((1, DRAWS), springs, p_values):
+    print(f"measured {times:2d} x: chi2 {spring.chi2:.2f}, {spring.dof} degrees of freedom, p = {p_value:.2f}")
 
 # %%
 MEGA = 1e6
 q = np.radians(np.linspace(-105.0, 0.0, 106))
 rows = np.column_stack([np.ones(len(q)), spring_basis(geometry, q)[1]])
-curve = rows @ [spring.stiffness, spring.spring, spring.preload]
-width = 1.96 * np.sqrt(np.einsum("ci,ij,cj->c", rows, spring.covariance, rows))
 truth_curve = 1.0 / (1.0 / stiffness(q) + share.mean())
-found, half = 1.0 / levels.compliance, 1.96 * np.sqrt(np.diag(levels.covariance)) / levels.compliance**2
-figure = view.canvas(width=6.0)
-axes = figure.axes[0]
-axes.fill_between(np.degrees(q), (curve - width) / MEGA, (curve + width) / MEGA, color=view.AFTER, alpha=0.15, lw=0)
-axes.plot(np.degrees(q), curve / MEGA, color=view.AFTER, lw=1.6, label="spring fitted to the levels, 95 %")
-axes.errorbar(
-    LEVELS, found / MEGA, yerr=half / MEGA, fmt="o", color=view.AFTER, ms=4.5, capsize=3, label="levels (C2), 95 %"
-)
-axes.plot(np.degrees(q), truth_curve / MEGA, color=view.TRUTH, lw=1.2, ls=(0, (4, 2)), label="truth")
-axes.set_xlabel("joint 2 (deg)")
-axes.set_ylabel("stiffness of joint 2 (MNm/rad)")
-axes.legend(frameon=False, fontsize=8)
-axes.spines[["top", "right"]].set_visible(False)
+curves, widths = [], []
+figure = view.canvas(2)
+for axes, times, levels, spring in zip(figure.axes, (1, DRAWS), (each[0], averaged), springs):
+    curve = rows @ [spring.stiffness, spring.spring, spring.preload]
+    width = 1.96 * np.sqrt(np.einsum("ci,ij,cj->c", rows, spring.covariance, rows))
+    found, half = 1.0 / levels.compliance, 1.96 * np.sqrt(np.diag(levels.covariance)) / levels.compliance**2
+    blue, at_levels = view.AFTER, np.degrees(levels.q)
+    axes.fill_between(np.degrees(q), (curve - width) / MEGA, (curve + width) / MEGA, color=blue, alpha=0.15, lw=0)
+    axes.plot(np.degrees(q), curve / MEGA, color=blue, lw=1.6, label="spring fitted to the levels, 95 %")
+    axes.errorbar(at_levels, found / MEGA, yerr=half / MEGA, fmt="o", color=blue, ms=4, capsize=3, label="levels, 95 %")
+    axes.plot(np.degrees(q), truth_curve / MEGA, color=view.TRUTH, lw=1.2, ls=(0, (4, 2)), label="truth")
+    axes.set_title("one measurement" if times == 1 else f"mean of {times} measurements", fontsize=9)
+    axes.set_xlabel("joint 2 (deg)")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_ylim(2.2, 2.95)
+    curves.append(curve)
+    widths.append(width)
+figure.axes[0].set_ylabel("stiffness of joint 2 (MNm/rad)")
+figure.axes[0].legend(frameon=False, fontsize=8, loc="upper right")
 figure
 
 # %% [markdown]
-# All levels share one error, mostly of the links that act beside joint 2. The course over q2 is known better than its
-# height.
+# One measurement of 15 poses does not show the curve: the levels share a large error, and the spring's part is small.
+# The mean of many measurements does. Here the spring is many times stronger than a real one is likely to be; changes
+# under load will hardly show that. (Absolute readings show a spring far better, by the torque that it holds.)
 #
 # ## 5. Back to full matrices
 #
@@ -395,14 +409,14 @@ axes.set_xlim(left=0.9 * least)
 axes.set_yticks(place, [name.split(".", 1)[1].replace(".", " ").replace("j", "joint ") for name in asked], fontsize=8)
 axes.invert_yaxis()
 axes.set_xlabel("compliance (µrad/Nm; k33: µm/N); bars that end at the left edge reach zero")
-axes.legend(frameon=False, fontsize=8, loc="upper left")
+axes.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
 axes.spines[["top", "right"]].set_visible(False)
 figure
 
 # %% [markdown]
-# Joints 3 to 6 and the elements of the upper arm are bounded from above; k33 of the forearm is known to a few per cent.
-# A joint and the link before it share what they do: joints 1 to 3 could as well be rigid and the links softer. Who needs
-# one number of them must know the other, or load the arm in other directions.
+# k33 of the forearm (link 3) is known to within some per cent, the wrist joints to a factor of some units. A joint and
+# the link before it share what they do: joints 1 to 3 could as well be rigid and the links softer. Who needs one number
+# of such a pair must know the other, or load the arm in other directions.
 #
 # ## 6. What the linear model misses
 #
@@ -425,7 +439,8 @@ assert all(compensated[name] > 95.0 for name in ("C1", "C2"))
 assert max(np.mean(unseen[name]) for name in ("C1", "C2")) < 0.6 * min(np.mean(unseen[name]) for name in ("J1", "J2"))
 assert all(found.lack_of_fit.p_value < 1e-6 for found in fits["J2"]), "joints alone are rejected every time"
 assert np.median([found.lack_of_fit.p_value for found in fits["C2"]]) > 0.05, "the complete model is not"
-assert p_value > 0.01 and (np.abs(curve - truth_curve) < 2.0 * width).all(), "the spring's curve is found"
+assert min(p_values) > 0.001, "a spring describes the levels"
+assert all((np.abs(curve - truth_curve) < 1.6 * width).all() for curve, width in zip(curves, widths))
 assert (share > 0).all() and np.ptp(share) < 0.05 * share.mean()
 assert all(np.linalg.eigvalsh(link)[0] > 0 for link in matrices.links.values())
 assert min(matrices.smallest.values()) > 0 and matrices.disagreement < 1e-8
