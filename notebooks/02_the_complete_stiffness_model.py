@@ -263,8 +263,8 @@ for name in models:
 # the difference. Our robot deflects more than the paper's, so the same rests are smaller percentages.
 #
 # The paper shows fitted poses only. At other poses the complete model loses a little, for 15 poses are few for 26
-# parameters; it stays far ahead. The values per angle of joint 2 (J2, C2) pay at fitted poses, at others they cost about
-# as much as they bring.
+# parameters; it stays far ahead. The values per angle of joint 2 (J2, C2) pay at fitted poses; at others they cost
+# about as much as they bring.
 #
 # What the joints-only model leaves is no noise: its residuals are wider than a normal distribution of the stated noise.
 # Those of the complete model have the width of the noise.
