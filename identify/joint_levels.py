@@ -21,7 +21,9 @@ class JointLevels(NamedTuple):
 
     Attributes:
         q: (l,) levels, rad.
-        compliance: (l,) rad/Nm, of the joint with everything else that yields about its axis.
+        compliance: (l,) rad/Nm, of the joint with everything else that yields about its axis; in a reduced model also
+            of the coupled link elements that the reduction has merged into it, so that a spring fitted to these levels
+            has not the joint's own constants.
         covariance: (l, l) of these.
     """
 

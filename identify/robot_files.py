@@ -10,6 +10,7 @@ A sliding joint adds its value to ``d``. The format is described in ``docs/robot
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -103,9 +104,9 @@ class _Joint(_Table):
         """True for a prismatic joint."""
         return self.type == "prismatic"
 
+    @abstractmethod
     def frames(self, convention: str) -> tuple[Floats, Floats, Floats]:
         """The fixed placement before the motion, the axis of the motion, the fixed placement after it."""
-        raise NotImplementedError
 
 
 class _DhJoint(_Joint):
