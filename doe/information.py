@@ -6,7 +6,7 @@ import numpy as np
 
 from identify.arrays import Floats
 
-__all__ = ["covariance_of", "information_of", "standard_deviations"]
+__all__ = ["covariance_of", "information_of", "inverse_root_of", "standard_deviations"]
 
 _SINGULAR = 1e-15  # smallest over largest eigenvalue on unit columns
 
@@ -18,17 +18,22 @@ def information_of(blocks: Floats) -> Floats:
     return product
 
 
-def covariance_of(information: Floats) -> Floats:
-    """Inverse on unit columns; infinite where the matrix is singular."""
+def inverse_root_of(information: Floats) -> Floats | None:
+    """Root with ``M^-1 = root root'``, (p, p), by eigenvalues on unit columns; None where the matrix is singular."""
     scale = np.sqrt(np.diag(information))
     if not (scale > 0).all():
-        return np.full_like(information, np.inf)
+        return None
     values, vectors = np.linalg.eigh(information / scale / scale[:, None])
     if values[0] <= _SINGULAR * values[-1]:
-        return np.full_like(information, np.inf)
-    root = vectors / np.sqrt(values) / scale[:, None]
-    covariance: Floats = root @ root.T
-    return covariance
+        return None
+    root: Floats = vectors / np.sqrt(values) / scale[:, None]
+    return root
+
+
+def covariance_of(information: Floats) -> Floats:
+    """Inverse on unit columns; infinite where the matrix is singular."""
+    root = inverse_root_of(information)
+    return np.full_like(information, np.inf) if root is None else root @ root.T
 
 
 def standard_deviations(information: Floats) -> Floats:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doe.information import inverse_root_of
 from doe.observations import Observer, target_rows
 from identify.arrays import Floats
 from identify.errors import InputError, NotIdentifiable
@@ -55,15 +56,11 @@ class Objective:
     def value(self, information: Floats, criterion: Criterion | None = None) -> float:
         """Value of a criterion at an information matrix (p, p); infinite if the matrix is singular for it."""
         criterion = criterion or self.criterion
-        scale = np.sqrt(np.diag(information))
-        if not (scale > 0).all():
-            return float("inf")
-        values, vectors = np.linalg.eigh(information / scale / scale[:, None])
-        if values[0] <= 1e-15 * values[-1]:
+        root = inverse_root_of(information)
+        if root is None:
             return float("inf")
         if criterion == "D":
-            return float(np.exp(-(np.log(values).sum() + 2 * np.log(scale).sum()) / self.size))
-        root = vectors / np.sqrt(values) / scale[:, None]  # information^-1 = root root'
+            return float(np.exp(2 * np.linalg.slogdet(root)[1] / self.size))
         if criterion == "E":
             return float(np.linalg.norm(root, 2) ** 2)
         squares = (self.target(criterion) @ root) ** 2

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from identify.alignment import inverse
 from identify.compare import compare
 from identify.comparison_table import comparison_json, comparison_lines
 from identify.config import load_study
 from identify.equilibrium import linear_misses
 from identify.errors import InputError
+from identify.fit import absorb_frame
 from identify.identification import identify
-from identify.model import Model, frame_displacement, model_of
+from identify.model import Model, model_of
 from identify.simulate import default_placement, simulate
 from identify.study import Noise, Study
 from identify.summary import identification_json, load_fitted, predict
@@ -112,11 +112,8 @@ def run_simulate(study_file: Path, plan_file: Path, truth_file: Path | None, *, 
     model = model_of(study, truth.effects, _known_nominal(study, truth))
     values = _true_values(model, truth)
     noise = _solid(truth.noise or study.noise)
-    turn, shift = frame_displacement(model, values)
-    displaced = np.eye(4)
-    displaced[:3, :3], displaced[:3, 3] = turn, shift
-    placement = inverse(displaced) @ default_placement(noise, frame_free=study.frame_free)
-    values[: model.frame_size] = 0.0
+    start = default_placement(noise, frame_free=study.frame_free)
+    values, placement = absorb_frame(model, values, start)
     experiment = plan_experiment(plan, study)
     data = simulate(model, values, experiment, noise, placement, np.random.default_rng(seed))
     stated = {name: value for name, value in zip(model.names, values.tolist(), strict=True) if value}

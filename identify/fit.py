@@ -24,7 +24,7 @@ from identify.model import Model, Response, frame_displacement, respond
 from identify.noise import Whitening, instrument_covariance, whitening
 from identify.study import Noise
 
-__all__ = ["OUTLYING", "Fit", "State", "fit", "start"]
+__all__ = ["OUTLYING", "Fit", "State", "absorb_frame", "fit", "start"]
 
 OUTLYING = 7.0  # P(chi(3) > 7) = 1.3e-10; model errors of real robots reach 6 robust sigmas
 _MEDIAN_CHI2_3 = 2.365974
@@ -290,16 +290,29 @@ def _step(current: Fit, damping: float) -> tuple[Floats, float]:
 
 def _moved(current: Fit, step: Floats) -> State:
     """Values after a step; the frame's part goes into the placement."""
-    model, state = current.model, current.state
-    values = state.values + step
-    placement = state.base_T_measurement
-    if model.frame_size:
-        turn, shift = frame_displacement(model, values)
-        displaced = np.eye(4)
-        displaced[:3, :3], displaced[:3, 3] = turn, shift
-        placement = inverse(displaced) @ placement
-        values[: model.frame_size] = 0.0
+    state = current.state
+    values, placement = absorb_frame(current.model, state.values + step, state.base_T_measurement)
     return replace(state, values=values, base_T_measurement=placement)
+
+
+def absorb_frame(model: Model, values: Floats, placement: Floats) -> tuple[Floats, Floats]:
+    """The same readings with frame parameters of zero: their displacement goes into the placement.
+
+    Args:
+        model: The model.
+        values: (p,) parameters in their units.
+        placement: (4, 4) base_T_measurement, m.
+
+    Returns:
+        (p,) values and (4, 4) placement.
+    """
+    if not model.frame_size:
+        return values, placement
+    displaced = np.eye(4)
+    displaced[:3, :3], displaced[:3, 3] = frame_displacement(model, values)
+    values = values.copy()
+    values[: model.frame_size] = 0.0
+    return values, inverse(displaced) @ placement
 
 
 def _row_distances(operators: Whitening, residual: Floats, own: Floats, weights: Floats) -> Floats:
