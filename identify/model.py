@@ -176,6 +176,7 @@ def respond(
         nothing = np.zeros((*position.shape, 0))
         return Response(scene, position, deflection, nothing, nothing)
     direct = _derivative(model, scene, scene.point @ turn.T + shift, values, wanted)
+    _through_columns(direct, model, experiment, values, deflection, wanted)
     columns = direct
     if deflection.any():
         columns = _with_bending(direct, model, experiment, values, deflection, wanted)
@@ -200,6 +201,8 @@ def deflected(
     for effect, where in pairs:
         if effect.adjust is not None:
             robot = effect.adjust(robot, values[where])
+        if effect.reload is not None:
+            experiment = effect.reload(experiment, values[where])
     markers = marker_positions(model, experiment, values)
     scene = build_scene(experiment, forward(robot, experiment.q), markers, self_weight=model.self_weight)
     given = [(effect, values[inputs]) for effect, inputs in zip(model.effects, model.effect_inputs, strict=True)]
@@ -223,7 +226,7 @@ def _with_bending(
     moved = [np.arange(model.frame_size + axis, model.frame_size + model.marker_size, 3) for axis in range(3)]
     moved = moved if model.marker_size else []
     for effect, where in zip(model.effects, model.effect_slices, strict=True):
-        if effect.adjust is not None:
+        if effect.adjust is not None and not effect.through:
             moved += [np.array([column]) for column in range(where.start, where.stop)]
     moved = [index for index in moved if wanted[index].any()]
     if not moved and not wanted[: model.frame_size].any():
@@ -239,6 +242,22 @@ def _with_bending(
             rows = np.arange(len(change))
             columns[rows, :, index[experiment.row_marker]] += change
     return columns
+
+
+def _through_columns(
+    columns: Floats, model: Model, experiment: Experiment, values: Floats, deflection: Floats, wanted: np.ndarray
+) -> None:
+    """Fill in the columns (R, 3, p) of effects that act through the springs of others, in place.
+
+    By forward differences. Torques are linear in masses, lever arms and forces, so that these are exact to rounding
+    but for products of two of them.
+    """
+    for effect, where in zip(model.effects, model.effect_slices, strict=True):
+        if effect.through:
+            for column in np.flatnonzero(wanted[where]) + where.start:
+                nudged = values.copy()
+                nudged[column] += _NUDGE
+                columns[:, :, column] = (deflected(model, experiment, nudged)[1] - deflection) / _NUDGE
 
 
 def marker_positions(model: Model, experiment: Experiment, values: Floats) -> Floats:

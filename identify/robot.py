@@ -79,7 +79,8 @@ class Robot:
         link_rotations: (n + 1, 3, 3) axes of the link frames (0 is the base) in the base frame at zero joint values;
             local x is the beam axis. Default: all parallel to the base.
         world_R_base: (3, 3) base frame in the world (world z is up).
-        gravity: Magnitude of gravity, m/s^2; it acts along world -z.
+        gravity: Magnitude of gravity, m/s^2.
+        down: (3,) unit vector along which it acts, world frame.
         tool_mass: Mass that hangs on the flange in every reading, kg.
         tool_centre: (3,) its centre of mass in the flange frame, m.
         source: Where the numbers come from.
@@ -100,6 +101,7 @@ class Robot:
     link_rotations: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
     world_R_base: Floats = field(default_factory=lambda: frozen(np.eye(3)))
     gravity: float = STANDARD_GRAVITY
+    down: Floats = field(default_factory=lambda: frozen([0.0, 0.0, -1.0]))
     tool_mass: float = 0.0
     tool_centre: Floats = field(default_factory=lambda: frozen(np.zeros(3)))
     source: str = ""
@@ -113,7 +115,7 @@ class Robot:
         shapes = {
             "prismatic": (n,), "placements": (n + 1, 4, 4), "lower": (n,), "upper": (n,),
             "masses": (n,), "centres": (n, 3), "efforts": (n,), "link_rotations": (n + 1, 3, 3), "world_R_base": (3, 3),
-            "tool_centre": (3,),
+            "down": (3,), "tool_centre": (3,),
         }  # fmt: skip
         for key, shape in shapes.items():
             array = frozen(getattr(self, key), bool if key == "prismatic" else np.float64)
@@ -140,7 +142,7 @@ class Robot:
     @property
     def gravity_base(self) -> Floats:
         """(3,) gravity in the base frame, m/s^2."""
-        g: Floats = self.world_R_base.T @ np.array([0.0, 0.0, -self.gravity])
+        g: Floats = self.gravity * (self.world_R_base.T @ self.down)
         return g
 
     @property

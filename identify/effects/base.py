@@ -164,6 +164,9 @@ class Effect:
         derivative: ``(scene, values) -> (R, 3, p + b)`` m per unit; the last b add to the columns of their owners.
         yields: True if it answers to loads (only then do differences between loads show it).
         adjust: ``(robot, values) -> robot`` for effects that change the robot itself.
+        reload: ``(experiment, values) -> experiment`` for effects that change what acts on the arm.
+        through: True if it moves markers only through springs that other effects bring (a wrong mass, a wrong load):
+            its ``derivative`` is zero and its columns are differences of the whole model's response.
         why_zero: Index of a parameter -> why no row may depend on it.
         borrowed: Names of b parameters of other effects that it depends on as well.
         springs: The set of springs that its terms count in, if it is a sum over pairs of springs.
@@ -179,6 +182,8 @@ class Effect:
     why_zero: Callable[[int], str]
     yields: bool = True
     adjust: Callable[[Robot, Floats], Robot] | None = None
+    reload: Callable[[Experiment, Floats], Experiment] | None = None
+    through: bool = False
     borrowed: tuple[str, ...] = ()
     springs: SpringSet | None = None
     terms: tuple[Term, ...] = ()
