@@ -127,6 +127,7 @@ def fit(
     *,
     free_offsets: bool = False,
     fitted: np.ndarray | None = None,
+    reweigh: bool = True,
 ) -> Fit:
     """Fit the parameters of a model.
 
@@ -137,6 +138,7 @@ def fit(
         state: Where to start (`start`).
         free_offsets: Only changes within a visit inform (reference ``differences``).
         fitted: (p,) True for parameters to move; all by default.
+        reweigh: Take influence from rows that do not fit; else the weights of ``state`` stay.
 
     Raises:
         NoConvergence: No convergence in the allowed steps; ``best`` holds the last fit.
@@ -144,7 +146,7 @@ def fit(
     free = np.ones(len(model.parameters), dtype=bool) if fitted is None else fitted
     problem = _Problem(model, data, noise, free_offsets, free)
     found = _evaluate(problem, state)
-    for _ in range(_MAX_REWEIGHTS):
+    for _ in range(_MAX_REWEIGHTS if reweigh else 0):
         weights = _weights(found)
         if _differ(weights, found.state.weights):
             found = _settled(problem, _evaluate(problem, replace(found.state, weights=weights)), _FIRST_STEPS)
