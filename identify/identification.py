@@ -210,17 +210,20 @@ def _compares_loads(data: Measurements) -> bool:
     return len(np.unique(key)) < len(key)
 
 
-def fit_differences(study: Study, model: Model, data: Measurements, state: State | None = None) -> Fit:
+def fit_differences(
+    study: Study, model: Model, data: Measurements, state: State | None = None, *, reweigh: bool = True
+) -> Fit:
     """Effects from changes within visits, frame and markers from the visits' offsets, in turn until both stand."""
     state = state or start(model, data)
     nuisance = model.nuisance
-    found = fit(model, data, study.noise, _plain(state, model), free_offsets=True, fitted=~nuisance)
+    begin = _plain(state, model) if reweigh else state
+    found = fit(model, data, study.noise, begin, free_offsets=True, fitted=~nuisance, reweigh=reweigh)
     if not nuisance.any():
         return found
     for _ in range(_ALTERNATIONS):
-        placed = fit(model, data, study.noise, found.state, fitted=nuisance)
-        before = found.state
-        found = fit(model, data, study.noise, _with_weights(placed.state, before), free_offsets=True, fitted=~nuisance)
+        placed = fit(model, data, study.noise, found.state, fitted=nuisance, reweigh=reweigh)
+        before, begin = found.state, _with_weights(placed.state, found.state)
+        found = fit(model, data, study.noise, begin, free_offsets=True, fitted=~nuisance, reweigh=reweigh)
         moved = np.abs(found.state.values - before.values)[~nuisance]
         if (moved <= 1e-9 * np.abs(found.state.values[~nuisance])).all():
             break

@@ -17,7 +17,17 @@ from identify.robot import Robot
 from identify.study import Study
 from identify.units import MM, MRAD
 
-__all__ = ["Model", "Response", "deflected", "effect_columns", "model_of", "respond", "without_nuisance"]
+__all__ = [
+    "Model",
+    "Response",
+    "added_columns",
+    "deflected",
+    "effect_columns",
+    "model_of",
+    "respond",
+    "with_effect",
+    "without_nuisance",
+]
 
 _MARKER_LIMIT = 5.0  # mm; markers are better known than this without any fit
 _NUDGE = 1e-3  # mm or mrad
@@ -258,6 +268,40 @@ def _through_columns(
                 nudged = values.copy()
                 nudged[column] += _NUDGE
                 columns[:, :, column] = (deflected(model, experiment, nudged)[1] - deflection) / _NUDGE
+
+
+def with_effect(model: Model, effect: Effect) -> Model:
+    """The model with one more effect, which was bound beside the effects of the model."""
+    parameters = (*model.parameters, *effect.parameters)
+    return replace(model, effects=(*model.effects, effect), parameters=parameters)
+
+
+def added_columns(
+    model: Model, effect: Effect, own: Ints, response: Response, experiment: Experiment, values: Floats
+) -> Floats:
+    """Columns that an effect would add to a model, at the effect's nominal values.
+
+    Args:
+        model: The model without the effect.
+        effect: The effect, bound beside the model's effects.
+        own: (b,) parameters of the effect that are asked for.
+        response: The model at ``values``.
+        experiment: The conditions.
+        values: (p,) parameters of the model in their units.
+
+    Returns:
+        (R, 3, b) m per unit; what works through the deflection of the geometry is left out.
+    """
+    larger = with_effect(model, effect)
+    given = np.append(values, [parameter.nominal for parameter in effect.parameters])
+    if not effect.through:
+        inputs = larger.effect_inputs[-1]
+        return effect.derivative(response.scene, given[inputs])[:, :, own]
+    wanted = np.zeros(len(given), dtype=bool)
+    wanted[len(values) + own] = True
+    columns = np.zeros((len(response.scene.point), 3, len(given)))
+    _through_columns(columns, larger, experiment, given, response.deflection, wanted)
+    return columns[:, :, len(values) + own]
 
 
 def marker_positions(model: Model, experiment: Experiment, values: Floats) -> Floats:

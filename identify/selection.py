@@ -9,7 +9,7 @@ import numpy as np
 from identify.arrays import Floats, Ints
 from identify.experiment import Experiment, Measurements
 
-__all__ = ["load_changes", "rows_of_visits", "take_rows"]
+__all__ = ["load_changes", "only_visit", "rows_of_visits", "take_rows"]
 
 
 def rows_of_visits(experiment: Experiment, visits: np.ndarray) -> Ints:
@@ -52,3 +52,30 @@ def load_changes(experiment: Experiment, rows: Floats) -> tuple[Floats, Ints]:
     mean = total / np.bincount(group, use, count)[:, None]
     loaded = np.flatnonzero(~unloaded & ((references[group] > 0) | (members[group] > 1)))
     return (rows - mean[group])[loaded], loaded
+
+
+def only_visit(data: Measurements, visit: int) -> Measurements:
+    """The rows of one visit alone: its shots and poses are counted anew."""
+    experiment = data.experiment
+    rows = np.flatnonzero(experiment.row_visit == visit)
+    shots, row_shot = np.unique(experiment.row_shot[rows], return_inverse=True)
+    poses, shot_pose = np.unique(experiment.shot_pose[shots], return_inverse=True)
+    part = replace(
+        experiment,
+        visits=(experiment.visits[visit],),
+        q=experiment.q[poses],
+        shot_visit=np.zeros(len(shots), dtype=np.int64),
+        shot_pose=shot_pose,
+        shot_load=experiment.shot_load[shots],
+        shot_repeat=experiment.shot_repeat[shots],
+        row_shot=row_shot,
+        row_marker=experiment.row_marker[rows],
+        wrench=None if experiment.wrench is None else experiment.wrench[shots],
+        approach=None if experiment.approach is None else experiment.approach[[visit]],
+        time=None if experiment.time is None else experiment.time[rows],
+        temperature=None if experiment.temperature is None else experiment.temperature[rows],
+    )
+    quaternions = None if data.quaternions is None else data.quaternions[rows]
+    return replace(
+        data, experiment=part, positions=data.positions[rows], lines=data.lines[rows], quaternions=quaternions
+    )

@@ -1,0 +1,296 @@
+"""The public verb `diagnose`: what the simulation gets wrong, why, and what naming it gains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from identify.diagnose.evidence import evidence
+from identify.diagnose.faults import Fault, faults, without_rows
+from identify.diagnose.gain import Gain, gain
+from identify.diagnose.gates import flip_probabilities, holm_probabilities
+from identify.diagnose.search import Cause, Search, search
+from identify.diagnose.spread import NoiseFound, RangeNoise, noise_found, range_noise
+from identify.diagnose.structure import patterns
+from identify.errors import NotIdentifiable
+from identify.experiment import Measurements
+from identify.fit import Fit, fit, start
+from identify.identification import Identification, fit_differences, identify
+from identify.lack_of_fit import LackOfFit, lack_of_fit
+from identify.model import model_of
+from identify.selection import load_changes
+from identify.study import Study
+from identify.threads import one_thread
+
+__all__ = ["Diagnosis", "Remainder", "Verdict", "diagnose"]
+
+Verdict = Literal["adequate", "cause_found", "ambiguous", "unexplained"]
+
+_REJECTED = 1e-3  # stated noise is not trusted if chi2 is this improbable
+_PATTERN: dict[str, float] = {"holm": 0.005, "flip": 0.01}
+_RANGE = 1e-3
+_HALF = 0.5  # of the excess chi-square that named causes must remove
+_TOO_WIDE = 4.0  # times the stated noise: more than this is no mere misstatement
+_LEAST_VISITS = 8
+_ROUNDS = 3  # of faults and causes in turn
+_FIRST, _LATER = 25.0, 10.0  # robust sigmas of an outlier, before and after the causes are known
+
+
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """What the extended model still leaves.
+
+    Attributes:
+        lack_of_fit: Chi-square against the stated noise.
+        present: A significant misfit remains that noise alone does not explain.
+        depends_on: Column of the table that it depends on most, None if none can be told.
+        p_value: Family-wise probability of the strongest unnamed pattern.
+    """
+
+    lack_of_fit: LackOfFit
+    present: bool
+    depends_on: str | None
+    p_value: float
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The result of `diagnose`.
+
+    Attributes:
+        study: The study, with the reference that was used.
+        data: All readings.
+        clean: The readings without faulty rows.
+        verdict: adequate, cause_found, ambiguous or unexplained.
+        search: The causes that are effects, the fit before and the fit after.
+        faults: Faulty rows.
+        range_noise: Noise that grows with the distance, None where it does not.
+        remainder: What is left.
+        first_lack: Chi-square of the model as it was.
+        noise: How large the noise is, against what is stated.
+        gain: Errors on held-out visits before and after; None if no cause is named.
+        identification: The extended model identified from all rows.
+        notes: What the user should know.
+    """
+
+    study: Study
+    data: Measurements
+    clean: Measurements
+    verdict: Verdict
+    search: Search
+    faults: tuple[Fault, ...]
+    range_noise: RangeNoise | None
+    remainder: Remainder
+    first_lack: LackOfFit
+    noise: NoiseFound
+    gain: Gain | None
+    identification: Identification
+    notes: tuple[str, ...]
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """The causes that are effects, in the order in which they were found."""
+        return self.search.causes
+
+    @property
+    def extended_study(self) -> Study:
+        """The study with the causes in its model."""
+        return self.search.study
+
+
+@dataclass(frozen=True, eq=False)
+class _Rules:
+    """What stays the same during a diagnosis."""
+
+    differences: bool
+    seed: int
+    without: frozenset[str]
+
+    def rng(self) -> np.random.Generator:
+        """Random numbers, the same at each call."""
+        return np.random.default_rng(self.seed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Conclusion:
+    """A search and what it leaves."""
+
+    search: Search
+    remainder: Remainder
+    range_noise: RangeNoise | None = None
+
+
+def diagnose(study: Study, data: Measurements, *, seed: int = 0, without: frozenset[str] = frozenset()) -> Diagnosis:
+    """Find out what a simulation gets wrong, from measurements.
+
+    Args:
+        study: The study; its effects are what the simulation contains.
+        data: The readings.
+        seed: Seed of sign flips, folds and bootstrap.
+        without: Names of effects that are not considered.
+
+    Raises:
+        NotIdentifiable: Too few visits for any conclusion; the message says how many would do.
+        NoConvergence: A fit did not converge.
+    """
+    with one_thread():
+        study, notes = _with_reference(study, data)
+        rules = _Rules(study.reference == "differences", seed, without)
+        _check_enough(study, data)
+        wrong = faults(_robust(study, data, rules), study.noise, limit=_FIRST)
+        concluded = _concluded(study, without_rows(data, wrong), rules)
+        for _ in range(_ROUNDS):
+            again = faults(_robust(concluded.search.study, data, rules), study.noise, limit=_LATER)
+            if _rows(again) == _rows(wrong):
+                break
+            wrong = again
+            concluded = _concluded(study, without_rows(data, wrong), rules)
+        return _result(study, data, wrong, concluded, rules, notes)
+
+
+def _with_reference(study: Study, data: Measurements) -> tuple[Study, tuple[str, ...]]:
+    """The study with absolute or differences in place of auto.
+
+    Absolute readings that contradict the model are what a diagnosis is about, so that only unknown masses count.
+    """
+    if study.reference != "auto":
+        return study, ()
+    compares = len(load_changes(data.experiment, data.positions)[1]) > 0
+    yields = any(effect.yields for effect in model_of(study).effects)
+    if compares and yields and not study.robot.masses_known:
+        note = (
+            "link masses are unknown: only changes between loads are used, which hide causes that act in every "
+            "reading alike; state the masses in the robot file"
+        )
+        return replace(study, reference="differences"), (note,)
+    return replace(study, reference="absolute"), ()
+
+
+def _check_enough(study: Study, data: Measurements) -> None:
+    """Refuse data that allow no conclusion.
+
+    Raises:
+        NotIdentifiable: Too few visits.
+    """
+    count, asked = len(np.unique(data.experiment.row_visit)), len(model_of(study).parameters)
+    per_visit = 3.0 * len(data.positions) / max(count, 1)
+    needed = max(_LEAST_VISITS, int(np.ceil(1.5 * asked / per_visit)))
+    if count < needed:
+        raise NotIdentifiable(
+            f"{data.source}: {count} poses allow no diagnosis of a model with {asked} unknowns; measure at least "
+            f"{needed} poses (30 are usual) with their unloaded readings"
+        )
+
+
+def _robust(study: Study, data: Measurements, rules: _Rules) -> Fit:
+    """A fit in which rows that do not fit have little influence."""
+    model = model_of(study)
+    if rules.differences:
+        return fit_differences(study, model, data)
+    return fit(model, data, study.noise, start(model, data))
+
+
+def _rows(wrong: tuple[Fault, ...]) -> list[int]:
+    """Rows of faults, ascending."""
+    return sorted({int(row) for fault in wrong for row in fault.rows})
+
+
+def _concluded(study: Study, clean: Measurements, rules: _Rules) -> _Conclusion:
+    """Causes by the stated noise; by sign flips if the extended model still contradicts it."""
+    found = _searched(study, clean, rules)
+    if found.remainder.present:
+        return found
+    wider = range_noise(found.search.last, study.noise)
+    if wider is None or wider.p_value > _RANGE:
+        return found
+    return replace(_searched(replace(study, noise=wider.noise), clean, rules), range_noise=wider)
+
+
+def _searched(study: Study, clean: Measurements, rules: _Rules) -> _Conclusion:
+    """A search with the gate that the data allow, and what it leaves."""
+    trusting = search(
+        study, clean, gate="holm", differences=rules.differences, rng=rules.rng(), without=rules.without
+    )
+    lack = lack_of_fit(trusting.last, np.zeros(0, dtype=np.int64))
+    if lack.p_value >= _REJECTED:
+        return _Conclusion(trusting, _remainder(trusting, lack, rules))
+    flipping = search(
+        study,
+        clean,
+        gate="flip",
+        differences=rules.differences,
+        rng=rules.rng(),
+        without=rules.without,
+        begin=trusting.first,
+    )
+    return _Conclusion(flipping, _remainder(flipping, lack_of_fit(flipping.last, np.zeros(0, dtype=np.int64)), rules))
+
+
+def _remainder(done: Search, lack: LackOfFit, rules: _Rules) -> Remainder:
+    """Is there structure that no named cause holds?"""
+    unnamed = patterns(done.last)
+    seen = evidence(done.last, unnamed)
+    if done.gate == "holm":
+        probability = holm_probabilities(np.array([seen.score(block).p_value for block in range(len(unnamed))]))
+    else:
+        probability = flip_probabilities(seen, range(len(unnamed)), rules.rng())
+    strongest = min(range(len(unnamed)), key=lambda b: (probability[b], seen.score(b).p_value))
+    present = bool(probability[strongest] < _PATTERN[done.gate])
+    if done.gate == "flip" and not present:
+        present = noise_found(done.last, done.study.noise).reading > _TOO_WIDE
+        return Remainder(lack, present, None, float(probability[strongest]))
+    return Remainder(lack, present, unnamed[strongest].depends_on if present else None, float(probability[strongest]))
+
+
+def _result(
+    study: Study,
+    data: Measurements,
+    wrong: tuple[Fault, ...],
+    concluded: _Conclusion,
+    rules: _Rules,
+    notes: tuple[str, ...],
+) -> Diagnosis:
+    """Everything about a conclusion."""
+    done = concluded.search
+    first = lack_of_fit(done.first, np.zeros(0, dtype=np.int64))
+    named = bool(done.causes or wrong or concluded.range_noise)
+    base = replace(study, noise=done.study.noise)
+    return Diagnosis(
+        study=study,
+        data=data,
+        clean=done.last.data,
+        verdict=_verdict(concluded, first, wrong),
+        search=done,
+        faults=wrong,
+        range_noise=concluded.range_noise,
+        remainder=concluded.remainder,
+        first_lack=first,
+        noise=noise_found(done.last, done.study.noise),
+        gain=gain(base, done, differences=rules.differences, rng=rules.rng(), without=rules.without) if named else None,
+        identification=identify(done.study, data, seed=rules.seed),
+        notes=(*notes, *_notes(done)),
+    )
+
+
+def _verdict(concluded: _Conclusion, first: LackOfFit, wrong: tuple[Fault, ...]) -> Verdict:
+    """The verdict by the rules of the contract."""
+    causes, remainder = concluded.search.causes, concluded.remainder
+    if not (causes or wrong or concluded.range_noise):
+        return "unexplained" if remainder.present else "adequate"
+    removed = first.chi2 - remainder.lack_of_fit.chi2
+    if remainder.present and removed < _HALF * (first.chi2 - first.dof):
+        return "unexplained"
+    return "ambiguous" if any(cause.rivals for cause in causes) else "cause_found"
+
+
+def _notes(done: Search) -> tuple[str, ...]:
+    """How significance was decided."""
+    if done.gate == "holm":
+        return ("the stated noise is consistent with the extended model: significance by Holm's rule",)
+    return (
+        "the stated noise contradicts the readings even with the extended model: significance by flipping the signs "
+        "of whole poses, which needs no stated noise",
+    )
+

@@ -1,0 +1,264 @@
+"""Which causes a diagnosis tries, where they may sit and with which options.
+
+Every registered effect is tried at every place that it has and that the model does not hold already. A few effects
+have a number that no linear test can find (the time of a step, the knee of a wind-up); they are tried at some values
+of it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from identify.arrays import Floats, Ints, frozen
+from identify.effects import REGISTRY, Effect
+from identify.effects.compensator import axis_compliance
+from identify.experiment import Experiment
+from identify.fit import Fit
+from identify.model import Model, added_columns, model_of
+from identify.study import Study
+
+__all__ = ["Hypothesis", "Tried", "finer", "hypotheses", "merged_options", "tried"]
+
+_EVERYWHERE = "all"
+_PLACE = re.compile(r"j\d+|j\d+-j\d+|link\d+|base|column|flange|all")
+_COMPONENTS = re.compile(r"\.[xyz]$")
+_BY_NAME = ("marker_seating", "load_level")  # their places are ids of the study
+_KNEES = (0.08, 0.25)  # shares of the largest torque on the joint
+_STEPS = 40  # times at which the instrument may have been knocked
+_WARM_UP_H = (0.5, 1.0, 2.0)
+_FINER = (0.5, 0.7, 0.85, 1.2, 1.4, 2.0)  # times the value found so far
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """One cause at one place.
+
+    Attributes:
+        name: Name of the effect.
+        where: Its place, None for effects of the whole arm, load or instrument.
+        options: Options of the effect that belong to this place.
+        effect: The effect, bound beside the effects of the model.
+        own: (b,) its parameters at this place.
+    """
+
+    name: str
+    where: str | None
+    options: Mapping[str, Any]
+    effect: Effect
+    own: Ints
+
+    @property
+    def entry(self) -> str:
+        """The entry in a list of effects: ``name`` or ``name@where``."""
+        return self.name if self.where is None else f"{self.name}@{self.where}"
+
+    @property
+    def plausible(self) -> Floats:
+        """(b,) largest plausible sizes, in units."""
+        return np.array([self.effect.parameters[index].plausible for index in self.own])
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A hypothesis with its columns on some rows.
+
+    Attributes:
+        hypothesis: The hypothesis.
+        columns: (R, 3, b) m per unit.
+    """
+
+    hypothesis: Hypothesis
+    columns: Floats
+    plausible: Floats = field(default_factory=lambda: np.zeros(0))
+
+
+def tried(found: Fit, asked: tuple[Hypothesis, ...]) -> tuple[Tried, ...]:
+    """Columns of hypotheses at the values of a fit."""
+    model, experiment, values = found.model, found.data.experiment, found.state.values
+    columns: dict[int, Floats] = {}
+    for hypothesis in asked:
+        effect = hypothesis.effect
+        if id(effect) not in columns:
+            every = np.arange(len(effect.parameters))
+            columns[id(effect)] = added_columns(model, effect, every, found.response, experiment, values)
+    return tuple(Tried(h, columns[id(h.effect)][:, :, h.own], h.plausible) for h in asked)
+
+
+def hypotheses(study: Study, model: Model, found: Fit, *, without: frozenset[str] = frozenset()) -> tuple[Hypothesis, ...]:
+    """Every cause at every place that the model of a study does not hold.
+
+    Args:
+        study: The study.
+        model: Its model.
+        found: A fit of the model, for torques and times.
+        without: Names of effects that are not tried.
+    """
+    held = set(model.names)
+    asked: list[Hypothesis] = []
+    for name in REGISTRY:
+        if name in without:
+            continue
+        for places, options in _variants(name, study, model, found):
+            effect = _bound(study, name, places, options)
+            groups: dict[str | None, list[int]] = {}
+            for index, parameter in enumerate(effect.parameters):
+                if parameter.name not in held:
+                    groups.setdefault(_place(name, parameter.name), []).append(index)
+            asked += [
+                Hypothesis(name, where, MappingProxyType(dict(options)), effect, frozen(own, np.int64))
+                for where, own in groups.items()
+            ]
+    return tuple(asked)
+
+
+def merged_options(options: Mapping[str, Mapping[str, Any]], added: Hypothesis) -> Mapping[str, Mapping[str, Any]]:
+    """Options of a study with those of one more cause, kept at its place where it has one."""
+    if not added.options:
+        return options
+    own = dict(options.get(added.name, {}))
+    if added.where is None:
+        own.update(added.options)
+    else:
+        own[added.where] = dict(added.options)
+    return MappingProxyType({**options, added.name: MappingProxyType(own)})
+
+
+def _bound(study: Study, name: str, places: tuple[str, ...], options: Mapping[str, Any]) -> Effect:
+    """The effect bound beside the effects of the study."""
+    entries = tuple(f"{name}@{place}" for place in places) or (name,)
+    present = tuple(entry for entry in study.effects if entry.partition("@")[0] != name)
+    merged = {**study.options, name: {**study.options.get(name, {}), **options}}
+    model = model_of(replace(study, options=merged), (*present, *entries), {})
+    return next(effect for effect in model.effects if effect.name == name)
+
+
+def _place(name: str, parameter: str) -> str | None:
+    """Where a parameter sits; None where its effect has no places."""
+    rest = parameter[len(name) + 1 :]
+    if name in _BY_NAME:
+        return _COMPONENTS.sub("", rest) if name == "marker_seating" else rest
+    first = rest.split(".")[0]
+    return first if _PLACE.fullmatch(first) and first != _EVERYWHERE else None
+
+
+def _variants(name: str, study: Study, model: Model, found: Fit) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
+    """Places (empty: all) and options with which an effect is tried."""
+    special = _SPECIAL.get(name)
+    if special is not None:
+        yield from special(study, model, found)
+    elif name != "joint_cross_compliance" or study.robot.n > 1:
+        yield (), {}
+
+
+Variants = Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]
+
+
+def _links(study: Study, model: Model, found: Fit) -> Variants:
+    """Links between base and flange, which turn alone or bend as a beam."""
+    places = tuple(f"link{link}" for link in range(1, study.robot.n))
+    for template in (["k44", "k55", "k66"], "beam"):
+        if places:
+            yield places, {"template": template}
+
+
+def _compensators(study: Study, model: Model, found: Fit) -> Variants:
+    """A spring beside joint 2: as the study describes it, else of unknown geometry."""
+    joints = [joint for joint in _yielding(study, model) if joint == 1]
+    if joints and not study.robot.prismatic[1]:
+        yield ("j2",), {} if "gravity_compensator" in study.options else {"mode": "harmonics"}
+
+
+def _sticking(study: Study, model: Model, found: Fit) -> Variants:
+    """Joints of which the model knows a compliance."""
+    places = tuple(f"j{joint + 1}" for joint in _yielding(study, model))
+    if places:
+        yield places, {}
+
+
+def _knees(study: Study, model: Model, found: Fit) -> Variants:
+    """Knees at shares of the largest torque on each joint."""
+    largest = np.abs(found.response.scene.joints.torque).max(axis=0)
+    for joint in np.flatnonzero(largest > 0):
+        for share in _KNEES:
+            yield (f"j{joint + 1}",), {"knee_Nm": float(share * largest[joint])}
+
+
+def _orders(study: Study, model: Model, found: Fit) -> Variants:
+    """Errors once or twice a turn, or both."""
+    for orders in ([1.0], [2.0], [1.0, 2.0]):
+        yield tuple(f"j{joint + 1}" for joint in np.flatnonzero(~study.robot.prismatic)), {"orders": orders}
+
+
+def _steps(study: Study, model: Model, found: Fit) -> Variants:
+    """Times between visits."""
+    experiment = found.data.experiment
+    if experiment.time is None:
+        return
+    first = _first_times(experiment)
+    middles = (first[1:] + first[:-1]) / 2
+    inner = middles[2:-2]
+    for number in np.unique(np.linspace(0, len(inner) - 1, _STEPS).round().astype(int)) if len(inner) else ():
+        yield (), {"time_s": float(inner[number])}
+
+
+def _first_times(experiment: Experiment) -> Floats:
+    """Time of the first reading of each visit, ascending, s."""
+    first = np.full(len(experiment.visits), np.inf)
+    np.minimum.at(first, experiment.row_visit, experiment.time)
+    return np.sort(first[np.isfinite(first)])
+
+
+def _warming(study: Study, model: Model, found: Fit) -> Variants:
+    """By temperature where it was read, else warm-up by several time constants."""
+    experiment = found.data.experiment
+    if experiment.temperature is not None:
+        yield (), {}
+    elif experiment.time is not None:
+        for hours in _WARM_UP_H:
+            yield (), {"tau_h": hours}
+
+
+def _yielding(study: Study, model: Model) -> list[int]:
+    """Joints that some effect of the model lets yield."""
+    return [j for j in range(study.robot.n) if any(axis_compliance(model.effects, study.robot, j))]
+
+
+_SPECIAL: dict[str, Callable[[Study, Model, Fit], Variants]] = {
+    "gravity_compensator": _compensators,
+    "joint_windup": _knees,
+    "link_compliance": _links,
+    "stiction": _sticking,
+    "thermal_growth": _warming,
+    "tracker_step": _steps,
+    "transmission_error": _orders,
+}
+
+
+def finer(hypothesis: Hypothesis, study: Study, found: Fit) -> tuple[Hypothesis, ...]:
+    """The same cause at the same place with values near the one found so far of a number that no linear test finds."""
+    experiment, options = found.data.experiment, hypothesis.options
+    if "knee_Nm" in options:
+        changed = [{"knee_Nm": options["knee_Nm"] * factor} for factor in _FINER]
+    elif "tau_h" in options:
+        changed = [{"tau_h": options["tau_h"] * factor} for factor in _FINER]
+    elif "time_s" in options and experiment.time is not None:
+        times = np.unique(experiment.time)
+        middles = (times[1:] + times[:-1]) / 2
+        near = np.argsort(np.abs(middles - options["time_s"]), kind="stable")[: 3 * _STEPS]
+        changed = [{"time_s": float(middles[index])} for index in near]
+    else:
+        return ()
+    places = () if hypothesis.where is None else (hypothesis.where,)
+    found_there = []
+    for change in changed:
+        effect = _bound(study, hypothesis.name, places, change)
+        names = [parameter.name for parameter in effect.parameters]
+        own = [names.index(hypothesis.effect.parameters[index].name) for index in hypothesis.own]
+        found_there.append(replace(hypothesis, options=MappingProxyType(change), effect=effect, own=frozen(own, np.int64)))
+    return tuple(found_there)

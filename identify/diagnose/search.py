@@ -1,0 +1,233 @@
+"""The search for causes: one after another, each the one that predicts left-out visits best.
+
+A block must pass a gate (`identify.diagnose.gates`) before it is considered; of those that pass, the one with the
+smallest leave-one-visit-out error enters the model, the model is fitted anew, and causes that a later one has made
+superfluous leave it. Rivals of a cause are found by encompassing (Cox 1962; Mizon and Richard 1986): a rival stays a
+rival unless the cause is still significant after the rival was added to the model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from identify.arrays import Floats
+from identify.diagnose.evidence import Evidence, evidence
+from identify.diagnose.gates import flip_probabilities, holm_probabilities
+from identify.diagnose.library import Hypothesis, finer, hypotheses, merged_options, tried
+from identify.experiment import Measurements
+from identify.fit import Fit, State, fit, start
+from identify.identification import fit_differences
+from identify.model import Model, model_of
+from identify.study import Study
+
+__all__ = ["Cause", "Gate", "Search", "fitted", "search", "with_causes"]
+
+Gate = Literal["holm", "flip"]
+
+LEVELS: dict[str, float] = {"holm": 0.01, "flip": 0.03}
+_MOST = 8  # causes
+_SHORTLIST = 16  # blocks whose leave-out error is computed
+_STILL = 1e-3  # a cause that is significant at this level beside a rival drives it out
+_WORTH = 0.01  # share of the chi-square that a cause must take off where the covariance is not trusted
+_SURE = 2.0  # standard deviations by which a size must exceed what is plausible before it is refused
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """A cause that was found.
+
+    Attributes:
+        hypothesis: Its effect, place and options.
+        p_value: Family-wise probability of its score at the step where it entered.
+        rivals: Other hypotheses that explain the same.
+    """
+
+    hypothesis: Hypothesis
+    p_value: float
+    rivals: tuple[Hypothesis, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What a search found.
+
+    Attributes:
+        study: The study with the causes in its model.
+        first: The fit of the model as it was.
+        last: The fit of the extended model.
+        causes: In the order in which they entered.
+        gate: What decided about significance.
+    """
+
+    study: Study
+    first: Fit
+    last: Fit
+    causes: tuple[Cause, ...]
+    gate: Gate
+
+
+@dataclass(frozen=True, eq=False)
+class _Rules:
+    """What stays the same during a search."""
+
+    data: Measurements
+    gate: Gate
+    differences: bool
+    without: frozenset[str]
+    rng: np.random.Generator
+
+
+def with_causes(study: Study, causes: tuple[Hypothesis, ...]) -> Study:
+    """A study with causes added to its model."""
+    for cause in causes:
+        options = merged_options(study.options, cause)
+        study = replace(study, effects=(*study.effects, cause.entry), options=options)
+    return study
+
+
+def fitted(study: Study, data: Measurements, *, differences: bool, begin: Fit | None = None) -> Fit:
+    """The model of a study fitted to rows that all count alike.
+
+    Args:
+        study: The study.
+        data: The rows.
+        differences: Only changes within a visit inform.
+        begin: A fit of a similar model, whose values are where the new one starts.
+    """
+    model = model_of(study)
+    state = start(model, data) if begin is None else _carried(begin, model, len(data.positions))
+    if differences:
+        return fit_differences(study, model, data, state, reweigh=False)
+    return fit(model, data, study.noise, state, reweigh=False)
+
+
+def _carried(begin: Fit, model: Model, rows: int) -> State:
+    """The values of a fit in another model."""
+    known = dict(zip(begin.model.names, begin.state.values, strict=True))
+    values = np.array([known.get(p.name, p.nominal) for p in model.parameters])
+    return State(values, begin.state.base_T_measurement, np.ones(rows))
+
+
+def search(
+    study: Study,
+    data: Measurements,
+    *,
+    gate: Gate,
+    differences: bool,
+    rng: np.random.Generator,
+    without: frozenset[str] = frozenset(),
+    begin: Fit | None = None,
+    rivals: bool = True,
+) -> Search:
+    """Find the causes that a model lacks.
+
+    Args:
+        study: The study.
+        data: Rows without faults.
+        gate: What decides about significance.
+        differences: Only changes within a visit inform.
+        rng: Random numbers of the flips.
+        without: Effects that are not tried.
+        begin: A fit of the study's model, if there is one.
+        rivals: Also look for hypotheses that explain the same as a cause.
+    """
+    rules = _Rules(data, gate, differences, without, rng)
+    first = begin or fitted(study, data, differences=differences)
+    found, causes = first, ()
+    while len(causes) < _MOST:
+        entered = _next(rules, with_causes(study, _named(causes)), found)
+        if entered is None:
+            break
+        causes = (*causes, entered)
+        found = fitted(with_causes(study, _named(causes)), data, differences=differences, begin=found)
+        causes, found = _pruned(rules, study, causes, found)
+    if rivals:
+        causes = tuple(_with_rivals(rules, study, causes, number, found) for number in range(len(causes)))
+    return Search(with_causes(study, _named(causes)), first, found, causes, gate)
+
+
+def _named(causes: tuple[Cause, ...]) -> tuple[Hypothesis, ...]:
+    return tuple(cause.hypothesis for cause in causes)
+
+
+def _next(rules: _Rules, study: Study, found: Fit) -> Cause | None:
+    """The cause that enters next, None if no block passes."""
+    asked = hypotheses(study, found.model, found, without=rules.without)
+    seen = evidence(found, tried(found, asked))
+    probability = _probabilities(rules, seen, asked)
+    passed = np.flatnonzero(probability < LEVELS[rules.gate])
+    if not len(passed):
+        return None
+    single = np.array([seen.score(block).p_value for block in passed])
+    value = np.array([seen.score(block).value for block in passed])
+    shortlist = passed[np.lexsort((-value, single))][:_SHORTLIST]
+    errors = [seen.left_out(int(block)) for block in shortlist]
+    best = int(shortlist[int(np.argmin(errors))])
+    if rules.gate == "flip" and min(errors) > (1 - _WORTH) * seen.left_out():
+        return None
+    return Cause(_polished(rules, study, found, asked[best], seen.score(best).value), float(probability[best]))
+
+
+def _probabilities(rules: _Rules, seen: Evidence, asked: tuple[Hypothesis, ...]) -> Floats:
+    """Family-wise probability of every block; 1 for implausible ones."""
+    if rules.gate == "holm":
+        found = holm_probabilities(np.array([seen.score(block).p_value for block in range(len(asked))]))
+    else:
+        found = flip_probabilities(seen, range(len(asked)), rules.rng)
+    plausible = [_is_plausible(seen, block, hypothesis) for block, hypothesis in enumerate(asked)]
+    return np.where(plausible, found, 1.0)
+
+
+def _is_plausible(seen: Evidence, block: int, hypothesis: Hypothesis) -> bool:
+    """False if a size is surely beyond what its effect can be."""
+    size, spread = seen.sizes(block)
+    return bool((np.abs(size) - _SURE * np.where(np.isfinite(spread), spread, 0.0) <= hypothesis.plausible).all())
+
+
+def _polished(rules: _Rules, study: Study, found: Fit, chosen: Hypothesis, score: float) -> Hypothesis:
+    """The same cause with the best value of a number that no linear test finds."""
+    others = finer(chosen, study, found)
+    if not others:
+        return chosen
+    seen = evidence(found, tried(found, others))
+    scores = [seen.score(block).value for block in range(len(others))]
+    best = int(np.argmax(scores))
+    return others[best] if scores[best] > score else chosen
+
+
+def _pruned(
+    rules: _Rules, study: Study, causes: tuple[Cause, ...], found: Fit
+) -> tuple[tuple[Cause, ...], Fit]:
+    """Leave out causes that the later ones have made superfluous."""
+    for number in range(len(causes) - 1):
+        rest = causes[:number] + causes[number + 1 :]
+        smaller = with_causes(study, _named(rest))
+        begin = fitted(smaller, rules.data, differences=rules.differences, begin=found)
+        seen = evidence(begin, tried(begin, (causes[number].hypothesis,)))
+        if seen.score(0).p_value > _STILL:
+            return rest, begin
+    return causes, found
+
+
+def _with_rivals(rules: _Rules, study: Study, causes: tuple[Cause, ...], number: int, found: Fit) -> Cause:
+    """A cause with the hypotheses that explain the same beside the other causes."""
+    cause = causes[number]
+    rest = with_causes(study, _named(causes[:number] + causes[number + 1 :]))
+    begin = fitted(rest, rules.data, differences=rules.differences, begin=found) if causes else found
+    asked = hypotheses(rest, begin.model, begin, without=rules.without)
+    own = cause.hypothesis
+    others = [h for h in asked if h.entry != own.entry]
+    seen = evidence(begin, tried(begin, (own, *others)))
+    rivals: dict[str, Hypothesis] = {}
+    for block, other in enumerate(others, start=1):
+        if other.entry not in rivals and _is_rival(seen, block, other):
+            rivals[other.entry] = other
+    return replace(cause, rivals=tuple(rivals.values()))
+
+
+def _is_rival(seen: Evidence, block: int, other: Hypothesis) -> bool:
+    """True if the cause (block 0) adds nothing to this one, which is plausible."""
+    return seen.beyond(0, block).p_value > _STILL and _is_plausible(seen, block, other)

@@ -1,0 +1,66 @@
+"""Structure without a name: does the residual depend smoothly on anything that was recorded?
+
+For every joint j and every recorded quantity x the residual is compared with an error of the joint's angle that is a
+smooth function of x alone, ``D_j f(x)``, and with an error that grows with the torque of the load,
+``D_j t_j f(x)``. With f = sin, cos of the first multiples of a joint angle, or the first powers of time and
+temperature, such blocks stand for causes that no library holds. What they show is not named: it tells that, and on
+what, something still depends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from identify.arrays import Floats
+from identify.experiment import Experiment
+from identify.fit import Fit
+
+__all__ = ["Pattern", "patterns"]
+
+_TURNS = 3  # multiples of a joint angle
+_POWERS = 2  # of time and temperature
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """An unnamed block.
+
+    Attributes:
+        depends_on: Column of the table that it is a function of.
+        columns: (R, 3, b) m per unit (mrad, or mrad per torque of usual size).
+        plausible: (b,) infinite.
+    """
+
+    depends_on: str
+    columns: Floats
+    plausible: Floats
+
+
+def patterns(found: Fit) -> tuple[Pattern, ...]:
+    """Unnamed blocks on the rows of a fit."""
+    scene, experiment = found.response.scene, found.data.experiment
+    motion = scene.joints.motion
+    unloaded = scene.joints.torque[experiment.row_shot]
+    torque = unloaded / np.maximum(np.abs(unloaded).max(axis=0), 1e-12)
+    made = []
+    for name, shape in _functions(experiment):
+        for joint in range(motion.shape[1]):
+            turned = motion[:, joint, :, None] * shape[:, None, :]
+            for columns in (turned, turned * torque[:, joint, None, None]):
+                made.append(Pattern(name, 1e-3 * columns, np.full(shape.shape[1], np.inf)))
+    return tuple(made)
+
+
+def _functions(experiment: Experiment) -> Iterator[tuple[str, Floats]]:
+    """Recorded quantities with their smooth functions (R, f)."""
+    q = experiment.q[experiment.shot_pose[experiment.row_shot]]
+    for joint in range(q.shape[1]):
+        angle = q[:, joint, None] * np.arange(1, _TURNS + 1)
+        yield f"q{joint + 1}_deg", np.hstack([np.sin(angle), np.cos(angle)])
+    for name, values in (("time_s", experiment.time), ("temperature_C", experiment.temperature)):
+        if values is not None and np.ptp(values) > 0:
+            unit = 2 * (values - values.min()) / np.ptp(values) - 1
+            yield name, unit[:, None] ** np.arange(1, _POWERS + 1)
