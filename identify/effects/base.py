@@ -74,6 +74,8 @@ class Binding:
         options: The table ``[model.<effect>]`` of the study.
         flange: The flange has geometric errors of its own (marker positions are exact).
         others: The other effects of the model, for effects that lean on their parameters.
+        loads: The load cases of the study.
+        markers: The names of its markers, flange markers first.
     """
 
     robot: Robot
@@ -81,6 +83,8 @@ class Binding:
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     flange: bool = False
     others: tuple[Effect, ...] = ()
+    loads: tuple[LoadCase, ...] = ()
+    markers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
