@@ -26,8 +26,9 @@ def link_mass(binding: Binding) -> Effect:
 
     With ``m_i`` more mass at the stated centre ``c_i`` and ``s_i`` more first moment about the origin of the moved
     frame of joint i (its axes), a turning spring j that carries the link bears
-    ``a_j . ((c_i - o_j) m_i x g + s_i x g)`` more, a sliding one ``m_i a_j . g``. Torques act through the compliances of other effects. Where a link mass is
-    unknown, self-weight is left out of the model and nothing depends on it. Changes between loads hide it.
+    ``a_j . ((c_i - o_j) m_i x g + s_i x g)`` more, a sliding one ``m_i a_j . g``. Torques act through the compliances
+    of other effects. Where a link mass is unknown, self-weight is left out of the model and nothing depends on it.
+    Changes between loads hide it.
 
     Parameters ``link_mass.link<i>``, kg, the link that joint i moves; ``link_mass.link<i>.mx, .my, .mz``, kg m.
     Typical: 5 to 20 % of the mass of the link, 50 mm of its centre (engineering experience).

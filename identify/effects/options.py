@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
-
+from identify.effects.base import Binding
 from identify.errors import InputError
-
-if TYPE_CHECKING:
-    from identify.effects.base import Binding
 
 __all__ = ["check_options", "chosen_components"]
 
 
-def check_options(name: str, binding: Binding, allowed: Iterable[str] = ()) -> None:
+def check_options(name: str, binding: Binding, allowed: tuple[str, ...] = ()) -> None:
     """Refuse options that an effect does not have.
 
     Raises:
