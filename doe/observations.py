@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,7 +14,7 @@ from identify.experiment import Experiment, full_experiment
 from identify.identifiability import Identifiability, independent_columns, triangle, why_not
 from identify.kinematics import forward
 from identify.loads import LoadCase, Markers
-from identify.model import Model, effect_columns, model_of, respond, without_nuisance
+from identify.model import Model, effect_columns, model_of, respond, through_columns, without_nuisance
 from identify.noise import whitening
 from identify.study import Study
 
@@ -146,6 +146,20 @@ def _test_rows(observer: Observer, index: int) -> Floats:
     model = observer.model
     scene = build_scene(experiment, forward(model.robot, experiment.q), point.positions, self_weight=model.self_weight)
     columns: Floats = effect_columns(model, scene, model.nominal)[0]
+    columns[:, ~model.nuisance] += _self_weight_columns(model, experiment)
+    return columns
+
+
+def _self_weight_columns(model: Model, experiment: Experiment) -> Floats:
+    """(3, p) of all but nuisance: what effects on the robot itself (wrong masses) do at a test pose.
+
+    Wrong test loads do nothing here: the wrench at a test pose is what it is, no matter what was hung for measuring.
+    """
+    effects = tuple(replace(effect, reload=None) for effect in model.effects)
+    bare = replace(without_nuisance(model), effects=effects, loaded=False)
+    columns = np.zeros((3, len(bare.parameters)))
+    for column, part in through_columns(bare, experiment, bare.nominal):
+        columns[:, column] = part[0]
     return columns
 
 

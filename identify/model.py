@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,12 +25,14 @@ __all__ = [
     "effect_columns",
     "model_of",
     "respond",
+    "through_columns",
     "with_effect",
     "without_nuisance",
 ]
 
 _MARKER_LIMIT = 5.0  # mm; markers are better known than this without any fit
 _NUDGE = 1e-3  # mm or mrad
+_STEP = 0.1  # kg, mm, mrad, %, N or Nm, of effects that act through the springs of others
 _FRAME = (*((axis, "mm", MM) for axis in "xyz"), *((f"r{axis}", "mrad", MRAD) for axis in "xyz"))
 
 
@@ -121,7 +123,14 @@ def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapp
         InputError: Unknown effect, place or parameter name.
     """
     names = study.effects if effects is None else effects
-    bound = bind_effects(names, study.robot, options=study.options, flange=not study.markers_fitted)
+    bound = bind_effects(
+        names,
+        study.robot,
+        options=study.options,
+        flange=not study.markers_fitted,
+        loads=study.loads,
+        markers=study.markers.names,
+    )
     frame = _frame_parameters() if study.frame_free else ()
     markers = _marker_parameters(study) if study.markers_fitted else ()
     parameters = (*frame, *markers, *(parameter for effect in bound for parameter in effect.parameters))
@@ -186,7 +195,8 @@ def respond(
         nothing = np.zeros((*position.shape, 0))
         return Response(scene, position, deflection, nothing, nothing)
     direct = _derivative(model, scene, scene.point @ turn.T + shift, values, wanted)
-    _through_columns(direct, model, experiment, values, deflection, wanted)
+    for column, part in through_columns(model, experiment, values, wanted):
+        direct[:, :, column] = part
     columns = direct
     if deflection.any():
         columns = _with_bending(direct, model, experiment, values, deflection, wanted)
@@ -254,20 +264,26 @@ def _with_bending(
     return columns
 
 
-def _through_columns(
-    columns: Floats, model: Model, experiment: Experiment, values: Floats, deflection: Floats, wanted: np.ndarray
-) -> None:
-    """Fill in the columns (R, 3, p) of effects that act through the springs of others, in place.
+def through_columns(
+    model: Model, experiment: Experiment, values: Floats, wanted: np.ndarray | None = None
+) -> Iterator[tuple[int, Floats]]:
+    """Columns of effects that act through the springs of others: index and (R, 3), m per unit.
 
-    By forward differences. Torques are linear in masses, lever arms and forces, so that these are exact to rounding
-    but for products of two of them.
+    By central differences. Torques are linear in masses, lever arms and forces, so any step is exact there, and one
+    that is not small keeps rounding far below what rank is decided at.
+
+    Args:
+        model: The model.
+        experiment: The conditions.
+        values: (p,) parameters in their units.
+        wanted: (p,) True for columns that are needed; all by default.
     """
     for effect, where in zip(model.effects, model.effect_slices, strict=True):
-        if effect.through:
-            for column in np.flatnonzero(wanted[where]) + where.start:
-                nudged = values.copy()
-                nudged[column] += _NUDGE
-                columns[:, :, column] = (deflected(model, experiment, nudged)[1] - deflection) / _NUDGE
+        for column in range(where.start, where.stop) if effect.through else ():
+            if wanted is None or wanted[column]:
+                nudge = _STEP * (np.arange(len(values)) == column)
+                ahead, behind = (deflected(model, experiment, v)[1] for v in (values + nudge, values - nudge))
+                yield column, (ahead - behind) / (2 * _STEP)
 
 
 def with_effect(model: Model, effect: Effect) -> Model:
@@ -299,9 +315,10 @@ def added_columns(
         return effect.derivative(response.scene, given[inputs])[:, :, own]
     wanted = np.zeros(len(given), dtype=bool)
     wanted[len(values) + own] = True
-    columns = np.zeros((len(response.scene.point), 3, len(given)))
-    _through_columns(columns, larger, experiment, given, response.deflection, wanted)
-    return columns[:, :, len(values) + own]
+    columns = np.zeros((len(response.scene.point), 3, len(own)))
+    for column, part in through_columns(larger, experiment, given, wanted):
+        columns[:, :, np.flatnonzero(own == column - len(values))[0]] = part
+    return columns
 
 
 def marker_positions(model: Model, experiment: Experiment, values: Floats) -> Floats:

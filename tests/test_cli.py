@@ -18,6 +18,7 @@ import doe
 import identify
 from doe.cli import run
 from identify.effects import REGISTRY, bind_effects
+from identify.loads import LoadCase
 from identify.robot_files import load_robot
 from tests.doe.study_files import ARM, KR270, merged
 
@@ -118,6 +119,31 @@ def test_all_commands_from_study_to_prediction(files, capsys):
     read = np.loadtxt(files / "simulate" / "measurements.csv", delimiter=",", skiprows=1, usecols=(-3, -2, -1))
     told = np.loadtxt(files / "predict" / "predicted.csv", delimiter=",", skiprows=1, usecols=(3, 4, 5))
     assert np.sqrt(np.mean((read - told) ** 2)) < 0.1
+
+
+def test_a_wrong_hook_is_planned_simulated_and_found(files):
+    """A cause that is no spring goes the same way: the plan stays on the grid, intervals are the planned ones."""
+    given = {f"joint_compliance.j{i}": c for i, c in enumerate((0.3, 0.27, 0.38, 2.7, 3.1, 2.2), 1)}
+    model = {"effects": ["joint_compliance", "load_com"], "nominal": given}
+    planned = {"plan": {"candidates": 100, "poses": 12, "loads": ["L1", "L2"]}, "model": model}
+    (files / "study.toml").write_text(tomli_w.dumps(merged(KR270, planned)))
+    moved = {"load_com.x": 15.0, "load_com.y": -10.0, "load_com.z": 20.0}
+    values = {**given, **moved, "load_scale.all": 2.0}
+    truth = {"truth": {"effects": ["joint_compliance", "load_com", "load_scale"], "values": values}}
+    (files / "truth.toml").write_text(tomli_w.dumps(truth))
+    assert call(files, "plan", "study.toml", "--out", str(files / "plan")) == 0
+    told = json.loads((files / "plan" / "plan.json").read_text())
+    assert set(moved) <= set(told["parameters"])
+    assert "load_com has no symbolic columns; the plan stays on the grid" in " ".join(told["notes"])
+    out = ("--truth", "truth.toml", "--out", str(files / "simulate"))
+    assert call(files, "simulate", "study.toml", "plan/plan.csv", *out) == 0
+    measurements = ("study.toml", "simulate/measurements.csv", "--out", str(files / "identify"))
+    assert call(files, "identify", *measurements) == 0
+    found = {p["name"]: p for p in json.loads((files / "identify" / "identify.json").read_text())["parameters"]}
+    for name, value in {**moved, "joint_compliance.j2": 1.02 * given["joint_compliance.j2"]}.items():
+        assert abs(found[name]["value"] - value) < 5 * found[name]["std"]
+        expected = told["std"][told["parameters"].index(name)]
+        assert found[name]["std"] == pytest.approx(expected, rel=0.1)
 
 
 def test_plan_json_holds_what_the_interface_promises(files):
@@ -627,10 +653,15 @@ def test_the_table_of_parameters_names_every_pattern_with_its_unit():
     rows = [line for line in (ROOT / "docs" / "theory.md").read_text().splitlines() if line.startswith("| `")]
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
     table = [(pattern, unit) for names, unit, *rest in cells if rest for pattern in name_patterns(names)]
-    options = {"gravity_compensator": {"mode": "levels", "levels_deg": [-100.0, -50.0, 0.0]}}
+    options = {
+        "gravity_compensator": {"mode": "levels", "levels_deg": [-100.0, -50.0, 0.0]},
+        "link_mass": {"components": ["mass", "mx", "my", "mz"]},
+    }
     robot = load_robot("ur10")
     for name in REGISTRY:
-        *_, effect = bind_effects(("joint_compliance", name), robot, options=options, flange=True)
+        *_, effect = bind_effects(
+            ("joint_compliance", name), robot, options=options, flange=True, loads=(LoadCase("L1", mass=5.0),)
+        )
         for parameter in effect.parameters:
             units = [unit for pattern, unit in table if re.fullmatch(pattern, parameter.name)]
             assert any(parameter.unit in unit for unit in units), parameter.name

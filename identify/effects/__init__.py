@@ -9,8 +9,11 @@ from identify.effects.base import Binding, Effect, Fields, Parameter, Scene, Spr
 from identify.effects.compensator import gravity_compensator
 from identify.effects.compliance import joint_compliance, link_compliance
 from identify.effects.geometry import geometry
+from identify.effects.link_mass import link_mass
+from identify.effects.loading import force_sensor_bias, load_com, load_direction, load_level, load_scale
 from identify.effects.special_compliance import base_compliance, joint_cross_compliance, tool_compliance
 from identify.errors import InputError
+from identify.loads import LoadCase
 from identify.robot import Robot
 
 __all__ = ["REGISTRY", "Binding", "Effect", "Fields", "Parameter", "Scene", "SpringSet", "bind_effects", "build_scene"]
@@ -18,11 +21,17 @@ __all__ = ["REGISTRY", "Binding", "Effect", "Fields", "Parameter", "Scene", "Spr
 #: Name of an effect -> how it is bound to a robot.
 REGISTRY: dict[str, Callable[[Binding], Effect]] = {
     "base_compliance": base_compliance,
+    "force_sensor_bias": force_sensor_bias,
     "geometry": geometry,
     "gravity_compensator": gravity_compensator,
     "joint_compliance": joint_compliance,
     "joint_cross_compliance": joint_cross_compliance,
     "link_compliance": link_compliance,
+    "link_mass": link_mass,
+    "load_com": load_com,
+    "load_direction": load_direction,
+    "load_level": load_level,
+    "load_scale": load_scale,
     "tool_compliance": tool_compliance,
 }
 #: Effects that borrow parameters of others, and therefore are bound after them.
@@ -35,6 +44,8 @@ def bind_effects(
     *,
     options: Mapping[str, Mapping[str, Any]] | None = None,
     flange: bool = False,
+    loads: tuple[LoadCase, ...] = (),
+    markers: tuple[str, ...] = (),
 ) -> tuple[Effect, ...]:
     """Bind a study's list of effects to a robot; entries ``name`` or ``name@where``.
 
@@ -43,6 +54,8 @@ def bind_effects(
         robot: The robot.
         options: Options by effect name.
         flange: The flange has geometric errors of its own (marker positions are exact).
+        loads: The load cases of the study.
+        markers: The names of its markers, flange markers first.
 
     Raises:
         InputError: An effect that does not exist, a place it cannot have, or a wrong option.
@@ -57,5 +70,6 @@ def bind_effects(
     bound: dict[str, Effect] = {}
     for name in sorted(places, key=lambda name: name in BORROWERS):
         chosen = () if "" in places[name] else tuple(places[name])
-        bound[name] = REGISTRY[name](Binding(robot, chosen, given.get(name, {}), flange, tuple(bound.values())))
+        others = tuple(bound.values())
+        bound[name] = REGISTRY[name](Binding(robot, chosen, given.get(name, {}), flange, others, loads, markers))
     return tuple(bound[name] for name in places)

@@ -40,7 +40,7 @@ class Parameter:
         nuisance: True for frame and markers, which are fitted but not asked for.
         limit: A fit that knows it no better than this (1 sigma, in ``unit``) holds it at its nominal value.
         plausible: Largest absolute size, in ``unit``, that is still physically plausible.
-        typical: Typical size, in ``unit``; nan where none can be told.
+        typical: Typical absolute size, in ``unit``; ``nan`` where nothing is known about it.
     """
 
     name: str
@@ -74,6 +74,8 @@ class Binding:
         options: The table ``[model.<effect>]`` of the study.
         flange: The flange has geometric errors of its own (marker positions are exact).
         others: The other effects of the model, for effects that lean on their parameters.
+        loads: The load cases of the study.
+        markers: The names of its markers, flange markers first.
     """
 
     robot: Robot
@@ -81,6 +83,8 @@ class Binding:
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     flange: bool = False
     others: tuple[Effect, ...] = ()
+    loads: tuple[LoadCase, ...] = ()
+    markers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,8 @@ from itertools import pairwise
 
 from identify.effects.base import Binding, Effect, SpringSet, Term
 from identify.effects.compliance import spring_effect
+from identify.effects.options import chosen_components
+from identify.effects.places import named_places
 from identify.errors import InputError
 from identify.robot import Robot
 
@@ -30,7 +32,7 @@ def base_compliance(binding: Binding) -> Effect:
     Args:
         binding: Robot, places and options.
     """
-    places = _named_places("base_compliance", ("base", "column"), binding.where)
+    places = named_places("base_compliance", ("base", "column"), binding.where)
     starts = {"base": 0, "column": 6}
     return _body_effect("base_compliance", binding, {place: starts[place] for place in places}, "base", ("rx", "ry"))
 
@@ -46,7 +48,7 @@ def tool_compliance(binding: Binding) -> Effect:
     Args:
         binding: Robot, place ``flange`` and options.
     """
-    places = _named_places("tool_compliance", ("flange",), binding.where)
+    places = named_places("tool_compliance", ("flange",), binding.where)
     starts = dict.fromkeys(places, 6 * binding.robot.n)
     return _body_effect("tool_compliance", binding, starts, "links", ("ry", "rz"))
 
@@ -80,7 +82,7 @@ def _body_effect(
     name: str, binding: Binding, starts: dict[str, int], springs: SpringSet, default: tuple[str, ...]
 ) -> Effect:
     """Springs on the diagonal of some 6x6 compliances, each of which begins at ``starts[place]``."""
-    components = _components(name, binding, default)
+    components = chosen_components(name, binding, COMPONENTS, default)
     terms = []
     for place, start in starts.items():
         for component in components:
@@ -94,33 +96,6 @@ def _body_effect(
         return f"no load in these data {what}, or no marker answers to it"
 
     return spring_effect(name, tuple(terms), springs, why_zero)
-
-
-def _components(name: str, binding: Binding, default: tuple[str, ...]) -> tuple[str, ...]:
-    """The option ``components``.
-
-    Raises:
-        InputError: It is no list of components, or there is another option.
-    """
-    for key in binding.options:
-        if key != "components":
-            raise InputError(f"[model.{name}] {key}: unknown key; allowed: components")
-    chosen = binding.options.get("components", default)
-    if isinstance(chosen, list | tuple) and chosen and all(item in COMPONENTS for item in chosen):
-        return tuple(item for item in COMPONENTS if item in chosen)
-    raise InputError(f"[model.{name}] components = {chosen!r}: a list of {', '.join(COMPONENTS)} expected")
-
-
-def _named_places(effect: str, allowed: tuple[str, ...], where: tuple[str, ...]) -> tuple[str, ...]:
-    """Places that have names instead of numbers; all if ``where`` is empty.
-
-    Raises:
-        InputError: A place does not exist.
-    """
-    for place in where:
-        if place not in allowed:
-            raise InputError(f"effect {effect}@{place}: no such place; allowed: {', '.join(allowed)}")
-    return tuple(place for place in allowed if not where or place in where)
 
 
 def _pair(robot: Robot, place: str) -> tuple[int, int]:

@@ -215,6 +215,32 @@ def test_target_rows_of_the_reference_arm_are_those_written_in_closed_form(tmp_p
     np.testing.assert_allclose(target_rows(watching, known)[0], MICRO * dense @ np.diag(dense.T @ force), atol=1e-18)
 
 
+def test_wrong_masses_count_at_test_poses_and_wrong_loads_do_not(tmp_path):
+    """Facts: ``sum_j c_j D_j a_j . ((c_3 - o_j) x g)`` per kg of link 3."""
+    compliance = {f"joint_compliance.j{i + 1}": float(c) for i, c in enumerate((0.3, 0.3, 0.4, 2.0, 3.0, 2.5))}
+    effects = ["joint_compliance", "link_mass@link3", "load_com", "load_scale", "load_direction"]
+    made = kr270(tmp_path, model={"effects": effects, "nominal": compliance})
+    robot = replace(made.robot, masses=frozen(np.full(6, 50.0)), centres=frozen(np.full((6, 3), 0.1)))
+    made = replace(made, robot=robot)
+    watching = observer(made)
+    assert watching.reference == "absolute"
+    q, names = poses_of(robot, 60, seed=9), list(watching.model.names)
+    known = identifiable(watching.blocks(q, np.array([[0, 1]] * 60)))
+    kept = [names[column] for column in known.kept]
+    rows = target_rows(watching, known)[0]
+    frames = forward(robot, made.test_poses[0].q[None])
+    moved = marker_jacobian(frames, made.test_poses[0].point)[0]
+    g = robot.gravity_base
+    torque = np.cross(frames.centre[0, 2] - frames.origin[0], g)
+    torque = np.einsum("ji,ji->j", frames.axis[0], torque) * (np.arange(6) < 3)
+    expected = moved @ (MICRO * np.array(list(compliance.values())) * torque)
+    np.testing.assert_allclose(rows[:, kept.index("link_mass.link3")], expected, rtol=1e-8, atol=1e-14)
+    assert np.abs(expected).max() > 1e-7
+    assert np.abs(rows[:, kept.index("load_direction.x")]).max() > 1e-7
+    for name in ("load_com.x", "load_com.y", "load_com.z", "load_scale.all"):
+        assert not rows[:, kept.index(name)].any(), name
+
+
 def horizontal(made):
     """A test pose with a sideways push, which turns joint 1."""
     wrench = np.array([0.0, 800.0, 0.0, 0.0, 0.0, 0.0])
