@@ -127,6 +127,29 @@ def identify(
 
 
 @app.command
+def diagnose(
+    study: Path,
+    measurements: Path,
+    *,
+    out: Path,
+    without: tuple[str, ...] = (),
+    common: Common = _DEFAULT,
+) -> int:
+    """Show what the simulation gets wrong, name the cause, extend the model and measure the gain.
+
+    Args:
+        study: Study file (TOML).
+        measurements: Measured positions (CSV).
+        out: Folder for diagnose.json, the extended study and the poses to measure next.
+        without: A cause that is not considered; may be given several times.
+        common: Options that every command has.
+    """
+    from doe.diagnose_command import run_diagnose
+
+    return _finish(lambda: run_diagnose(study, measurements, out, seed=common.seed, without=without), out, common)
+
+
+@app.command
 def predict(study: Path, result: Path, plan: Path, *, out: Path, common: Common = _DEFAULT) -> int:
     """Predict where the markers will be read.
 

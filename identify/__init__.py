@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from identify.config import load_study
+    from identify.diagnose import Diagnosis, diagnose
     from identify.errors import ElastocalError, Infeasible, InputError, NoConvergence, NotIdentifiable
     from identify.identification import Identification, identify
     from identify.reduction import Reduction, reduce
     from identify.tables import load_measurements
 
 __all__ = [
+    "Diagnosis",
     "ElastocalError",
     "Identification",
     "Infeasible",
@@ -20,6 +22,7 @@ __all__ = [
     "NoConvergence",
     "NotIdentifiable",
     "Reduction",
+    "diagnose",
     "identify",
     "load_measurements",
     "load_study",
@@ -27,8 +30,10 @@ __all__ = [
 ]
 
 _HOME = {
+    "Diagnosis": "identify.diagnose.diagnosis",
     "Identification": "identify.identification",
     "Reduction": "identify.reduction",
+    "diagnose": "identify.diagnose.diagnosis",
     "identify": "identify.identification",
     "load_measurements": "identify.tables",
     "load_study": "identify.config",

@@ -1,0 +1,5 @@
+"""Diagnosis: what a simulation gets wrong, why, and what naming it gains."""
+
+from identify.diagnose.diagnosis import Diagnosis, diagnose
+
+__all__ = ["Diagnosis", "diagnose"]
