@@ -39,6 +39,8 @@ class Parameter:
         nominal: Starting value, in ``unit``.
         nuisance: True for frame and markers, which are fitted but not asked for.
         limit: A fit that knows it no better than this (1 sigma, in ``unit``) holds it at its nominal value.
+        plausible: Largest absolute size, in ``unit``, that is still physically plausible.
+        typical: Usual absolute size, in ``unit``; nan where there is none that fits all robots.
     """
 
     name: str
@@ -47,6 +49,8 @@ class Parameter:
     nominal: float = 0.0
     nuisance: bool = False
     limit: float = float("inf")
+    plausible: float = float("inf")
+    typical: float = float("nan")
 
 
 @dataclass(frozen=True)
