@@ -281,6 +281,7 @@ def _step(current: Fit, damping: float) -> tuple[Floats, float]:
         return step, 0.0
     columns = current.columns[:, kept]
     norms = np.linalg.norm(columns, axis=0)
+    norms = np.where(norms > 0.0, norms, 1.0)  # a nonlinear effect may lose its column on the way: it stays put
     q, r = np.linalg.qr(columns / norms)
     target = q.T @ current.whitened
     damped = np.vstack([r, np.sqrt(damping) * np.eye(len(kept))])

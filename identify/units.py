@@ -25,4 +25,9 @@ SI_OF = {
     "urad/N": URAD,
     "N/mm": 1e3,
     "N": 1.0,
+    "Nm": 1.0,
+    "urad": URAD,
+    "um": UM,
+    "urad/kNm^3": URAD / 1e9,
+    "um/kN^3": UM / 1e9,
 }

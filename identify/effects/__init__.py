@@ -9,6 +9,7 @@ from identify.effects.base import Binding, Effect, Fields, Parameter, Scene, Spr
 from identify.effects.compensator import gravity_compensator
 from identify.effects.compliance import joint_compliance, link_compliance
 from identify.effects.geometry import geometry
+from identify.effects.nonlinear import backlash, joint_hardening, joint_windup, stiction
 from identify.effects.special_compliance import base_compliance, joint_cross_compliance, tool_compliance
 from identify.errors import InputError
 from identify.robot import Robot
@@ -17,16 +18,20 @@ __all__ = ["REGISTRY", "Binding", "Effect", "Fields", "Parameter", "Scene", "Spr
 
 #: Name of an effect -> how it is bound to a robot.
 REGISTRY: dict[str, Callable[[Binding], Effect]] = {
+    "backlash": backlash,
     "base_compliance": base_compliance,
     "geometry": geometry,
     "gravity_compensator": gravity_compensator,
     "joint_compliance": joint_compliance,
     "joint_cross_compliance": joint_cross_compliance,
+    "joint_hardening": joint_hardening,
+    "joint_windup": joint_windup,
     "link_compliance": link_compliance,
+    "stiction": stiction,
     "tool_compliance": tool_compliance,
 }
 #: Effects that borrow parameters of others, and therefore are bound after them.
-BORROWERS = ("gravity_compensator",)
+BORROWERS = ("gravity_compensator", "stiction")
 
 
 def bind_effects(

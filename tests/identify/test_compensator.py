@@ -8,7 +8,8 @@ import pytest
 from scipy.optimize import brentq
 
 from identify.effects import bind_effects, build_scene
-from identify.effects.compensator import axis_compliance, nearest_level
+from identify.effects.compensator import nearest_level
+from identify.effects.joint_turns import axis_compliance
 from identify.errors import InputError, NotIdentifiable
 from identify.experiment import full_experiment
 from identify.gravity_spring import SpringGeometry, spring_basis, spring_from_levels, spring_slopes
