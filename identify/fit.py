@@ -19,7 +19,7 @@ from identify.alignment import align, inverse
 from identify.arrays import Floats, Ints
 from identify.errors import InputError, NoConvergence
 from identify.experiment import Experiment, Measurements
-from identify.identifiability import Identifiability, independent_columns, triangle
+from identify.identifiability import Dropped, Identifiability, independent_columns, triangle
 from identify.model import Model, Response, frame_displacement, respond
 from identify.noise import Whitening, instrument_covariance, whitening
 from identify.study import Noise
@@ -30,6 +30,7 @@ OUTLYING = 7.0  # P(chi(3) > 7) = 1.3e-10; model errors of real robots reach 6 r
 _MEDIAN_CHI2_3 = 2.365974
 _STEP = 1e-8  # converged when no step moves the fit by more than this many sigmas
 _NEARLY = 1e-4  # good enough where rounding does not let it come closer
+_CORNER = 1e-2  # sigmas: where no longer step descends, and less than one is left to gain, is an edge
 _FIRST_STEPS = 3  # before rows are judged anew
 _MAX_STEPS = 60
 _MAX_REWEIGHTS = 50
@@ -172,16 +173,28 @@ def _settled(problem: _Problem, found: Fit, steps: int) -> Fit:
     """Fit at fixed weights what can be identified where the fit ends; the rest is held at its nominal value.
 
     A few steps are enough as long as the weights still change: bad rows are found before the fit has
-    followed them.
+    followed them. A column that vanished on the way (a knee below all torques) would come back at the nominal value
+    and vanish again; it stays out.
     """
+    vanished: dict[int, Dropped] = {}
     for _ in range(_MAX_CHOICES):
         found = _gauss_newton(problem, _held(problem, found), steps)
-        known = _identifiable(problem, found)
+        known = _without(_identifiable(problem, found), vanished)
+        was_kept = found.identifiability.kept
+        vanished |= {
+            d.column: d for d in known.dropped if d.column in was_kept and not found.columns[:, d.column].any()
+        }
         settled = np.array_equal(known.kept, found.identifiability.kept)
         found = replace(found, identifiability=known)
         if settled:
             return found
     return _gauss_newton(problem, _held(problem, found), steps)
+
+
+def _without(known: Identifiability, left_out: dict[int, Dropped]) -> Identifiability:
+    """The same decision, but for some columns that are dropped in any case."""
+    others = tuple(d for d in known.dropped if d.column not in left_out)
+    return Identifiability(np.setdiff1d(known.kept, list(left_out)), (*others, *left_out.values()))
 
 
 def _held(problem: _Problem, found: Fit) -> Fit:
@@ -207,6 +220,8 @@ def _gauss_newton(problem: _Problem, current: Fit, steps: int) -> Fit:
             current, damping = trial, damping / 100 if damping > 1e-8 else 0.0
         elif size**2 < 10 * _ROUNDING * current.chi2:
             return current  # what is left to gain is lost in rounding
+        elif size < spread and np.linalg.norm(current.columns @ step) < _CORNER * spread:
+            return current  # in a corner of the sum of squares (friction) each side points to the other
         else:
             damping = max(100 * damping, 1e-10)
     if size < _NEARLY * spread or steps < _MAX_STEPS:
@@ -279,6 +294,7 @@ def _step(current: Fit, damping: float) -> tuple[Floats, float]:
     """Step (p,) on unit columns, and the length in sigmas that the undamped step would take off."""
     step = np.zeros(len(current.model.parameters))
     kept = current.identifiability.kept
+    kept = kept[current.columns[:, kept].any(axis=0)]  # a nonlinear effect may lose its column on the way
     if not len(kept):
         return step, 0.0
     columns = current.columns[:, kept]

@@ -22,7 +22,7 @@ import numpy as np
 from identify.arrays import Floats, frozen
 from identify.errors import InputError, NotIdentifiable
 
-__all__ = ["LevelFit", "SpringGeometry", "spring_basis", "spring_from_levels", "spring_slopes"]
+__all__ = ["LevelFit", "SpringGeometry", "harmonic_basis", "spring_basis", "spring_from_levels", "spring_slopes"]
 
 _UNKNOWNS = ("K_2^0", "K_c", "K_c s_0")
 _SINGULAR = 1e-9  # smallest singular value of unit columns that still counts
@@ -72,6 +72,18 @@ def spring_slopes(geometry: SpringGeometry, q: Floats) -> Floats:
     bent = d_along / length - along / length**2 * d_length
     bent = bent + 2.0 * across * d_across / length**3 - 3.0 * across**2 / length**4 * d_length
     return np.stack([moment, np.stack([-d_along, bent], axis=1)])
+
+
+def harmonic_basis(orders: tuple[int, ...], q: Floats) -> Floats:
+    """M and k of a spring of unknown geometry, per Nm of each of its harmonics, for joint values ``q`` (C,), rad.
+
+    Returns:
+        (2, C, 2 len(orders)): first axis M (Nm) and k = dM/dq (Nm/rad), last axis sine and cosine of each order.
+    """
+    order = np.array(orders, dtype=np.float64)
+    sine, cosine = np.sin(q[:, None] * order), np.cos(q[:, None] * order)
+    pairs = np.array([[sine, cosine], [order * cosine, -order * sine]])
+    return pairs.transpose(0, 2, 3, 1).reshape(2, len(q), -1)
 
 
 def _lever(geometry: SpringGeometry, q: Floats) -> tuple[Floats, Floats, Floats]:

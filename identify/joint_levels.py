@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from identify.arrays import Floats, frozen
-from identify.effects.compensator import NAME, axis_compliance
+from identify.effects.compensator import NAME
 from identify.effects.compensator_options import mode_of, options_of, read_levels
+from identify.effects.joint_turns import axis_compliance
 from identify.effects.places import joint_places
 from identify.errors import InputError
 from identify.identification import Identification

@@ -29,4 +29,8 @@ SI_OF = {
     "kg": 1.0,
     "kg m": 1.0,
     "%": 0.01,
+    "urad": URAD,
+    "um": UM,
+    "urad/kNm^3": URAD / 1e9,
+    "um/kN^3": UM / 1e9,
 }

@@ -653,15 +653,15 @@ def test_the_table_of_parameters_names_every_pattern_with_its_unit():
     rows = [line for line in (ROOT / "docs" / "theory.md").read_text().splitlines() if line.startswith("| `")]
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
     table = [(pattern, unit) for names, unit, *rest in cells if rest for pattern in name_patterns(names)]
-    options = {
-        "gravity_compensator": {"mode": "levels", "levels_deg": [-100.0, -50.0, 0.0]},
-        "link_mass": {"components": ["mass", "mx", "my", "mz"]},
-    }
-    robot = load_robot("ur10")
-    for name in REGISTRY:
-        *_, effect = bind_effects(
-            ("joint_compliance", name), robot, options=options, flange=True, loads=(LoadCase("L1", mass=5.0),)
-        )
+    springs = {"a_x_mm": 600.0, "a_y_mm": 100.0, "radius_mm": 180.0, "fit_geometry": True}
+    modes = ({"levels_deg": [-100.0, -50.0, 0.0]}, springs, {"mode": "harmonics"})
+    common = {"joint_windup": {"fit_knee": True}, "link_mass": {"components": ["mass", "mx", "my", "mz"]}}
+    chosen = [(name, common) for name in REGISTRY if name != "gravity_compensator"]
+    chosen += [("gravity_compensator", {"gravity_compensator": mode}) for mode in modes]
+    robot, loads = load_robot("ur10"), (LoadCase("L1", mass=5.0),)
+    for name, options in chosen:
+        *_, effect = bind_effects(("joint_compliance", name), robot, options=options, flange=True, loads=loads)
+        assert effect.parameters
         for parameter in effect.parameters:
             units = [unit for pattern, unit in table if re.fullmatch(pattern, parameter.name)]
             assert any(parameter.unit in unit for unit in units), parameter.name

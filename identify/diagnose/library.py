@@ -17,7 +17,7 @@ import numpy as np
 
 from identify.arrays import Floats, Ints, frozen
 from identify.effects import REGISTRY, Effect
-from identify.effects.compensator import axis_compliance
+from identify.effects.joint_turns import axis_compliance
 from identify.experiment import Experiment
 from identify.fit import Fit
 from identify.model import Model, added_columns, model_of

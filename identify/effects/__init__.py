@@ -11,6 +11,7 @@ from identify.effects.compliance import joint_compliance, link_compliance
 from identify.effects.geometry import geometry
 from identify.effects.link_mass import link_mass
 from identify.effects.loading import force_sensor_bias, load_com, load_direction, load_level, load_scale
+from identify.effects.nonlinear import backlash, joint_hardening, joint_windup, stiction
 from identify.effects.special_compliance import base_compliance, joint_cross_compliance, tool_compliance
 from identify.errors import InputError
 from identify.loads import LoadCase
@@ -20,22 +21,26 @@ __all__ = ["REGISTRY", "Binding", "Effect", "Fields", "Parameter", "Scene", "Spr
 
 #: Name of an effect -> how it is bound to a robot.
 REGISTRY: dict[str, Callable[[Binding], Effect]] = {
+    "backlash": backlash,
     "base_compliance": base_compliance,
     "force_sensor_bias": force_sensor_bias,
     "geometry": geometry,
     "gravity_compensator": gravity_compensator,
     "joint_compliance": joint_compliance,
     "joint_cross_compliance": joint_cross_compliance,
+    "joint_hardening": joint_hardening,
+    "joint_windup": joint_windup,
     "link_compliance": link_compliance,
     "link_mass": link_mass,
     "load_com": load_com,
     "load_direction": load_direction,
     "load_level": load_level,
     "load_scale": load_scale,
+    "stiction": stiction,
     "tool_compliance": tool_compliance,
 }
 #: Effects that borrow parameters of others, and therefore are bound after them.
-BORROWERS = ("gravity_compensator",)
+BORROWERS = ("gravity_compensator", "stiction")
 
 
 def bind_effects(

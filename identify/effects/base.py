@@ -133,6 +133,11 @@ class Scene:
         return self._fields(joint_springs)
 
     @cached_property
+    def load_on_joints(self) -> Floats:
+        """(S, n) torque (force) that the load alone, without self-weight, puts on each joint."""
+        return _load_torque(self.experiment, self.frames, joint_springs)
+
+    @cached_property
     def links(self) -> Fields:
         """Fields of the 6 (n + 1) link springs, see `identify.springs.link_springs`."""
         return self._fields(link_springs)

@@ -1,6 +1,6 @@
 """Gravity compensator: a spring beside a joint that carries part of the arm's weight and adds stiffness.
 
-Two descriptions, chosen by the option ``mode``:
+Three descriptions, chosen by the option ``mode``:
 
 * ``levels``: the joint has another compliance at each of some joint values, ``D_j t_j 1[q_j at level]``. Nothing is
   assumed about the spring, but its static torque is not described: use it for changes under load.
@@ -12,65 +12,62 @@ Two descriptions, chosen by the option ``mode``:
   difference of the two, so at ``K_c = 0`` it adds nothing. M loads the joint in every reading, the unloaded ones
   too, and shows in absolute readings only; k shows in changes under load. The compliance c belongs to other effects
   (`joint_compliance`, and the elements of `link_compliance` about this axis); the effect borrows it.
+* ``harmonics``: a spring of unknown geometry, acting in the same way, with
+
+      M(q) = sum_n (a_n sin n q + b_n cos n q)        k(q) = dM/dq = sum_n n (a_n cos n q - b_n sin n q)
+
+  Three orders follow the coil spring of a heavy arm to 0.2 % of its largest torque over the range of joint 2, to 1.2 %
+  over a whole turn. A constant part of M is left out: it turns the joint by the same angle everywhere, which is a
+  zero offset (`geometry`).
 
 Several springs act side by side: their M and k add up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeAlias
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from identify.arrays import Floats
-from identify.effects.base import Binding, Effect, Parameter, Scene, Term
-from identify.effects.compensator_options import SpringOptions, mode_of, options_of, read_levels, read_springs
+from identify.effects.base import Binding, Effect, Parameter, Scene
+from identify.effects.compensator_options import (
+    SpringOptions,
+    mode_of,
+    options_of,
+    read_levels,
+    read_orders,
+    read_springs,
+)
 from identify.effects.compliance import LIMIT
+from identify.effects.joint_turns import JointTurn, Turn, borrowed_compliance, joint_turns
 from identify.effects.places import joint_places
 from identify.errors import InputError
-from identify.gravity_spring import SpringGeometry, spring_basis, spring_slopes
-from identify.robot import Robot
-from identify.springs import link_turns
+from identify.gravity_spring import SpringGeometry, harmonic_basis, spring_basis, spring_slopes
 from identify.units import DEG, MM, SI_OF, URAD
 
-__all__ = ["axis_compliance", "gravity_compensator", "nearest_level"]
+__all__ = ["gravity_compensator", "nearest_level"]
 
 NAME = "gravity_compensator"
 SPRING_LIMIT = {"N/mm": 1e4, "N": 1e7, "mm": 1e3}  # some ten times a heavy robot's spring
+TORQUE_LIMIT = 1e6  # Nm
+PLAUSIBLE_TORQUE, TYPICAL_TORQUE = 2e4, 1e3  # Nm: the largest arms hold some 20 kNm in joint 2
 
 #: ``(torque (S,), q (S,), values) -> (angle (S,), slopes (S, p + b))``, Nm and rad, slopes per unit.
-Turn: TypeAlias = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """The compensator of one joint: how far it turns the joint more than the other effects say.
-
-    Attributes:
-        joint: Number of the joint, from 0.
-        parameters: Its p unknowns.
-        borrowed: Its b parameters of other effects.
-        turn: The angle and its slopes; values in units, own then borrowed.
-        why_zero: Reason for a column of zeros.
-    """
-
-    joint: int
-    parameters: tuple[Parameter, ...]
-    borrowed: tuple[str, ...]
-    turn: Turn
-    why_zero: Callable[[int], str]
-    levels: Floats | None = None
+TorqueTurn: TypeAlias = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
+#: ``(q (S,), values) -> (M and k (2, S), slopes (2, S, p))``, Nm and Nm/rad, slopes per unit.
+Field: TypeAlias = Callable[[Floats, Floats], tuple[Floats, Floats]]
 
 
 def gravity_compensator(binding: Binding) -> Effect:
-    """Spring beside a turning joint (default: joint 2), by levels or as a spring, see the module.
+    """Spring beside a turning joint (default: joint 2), by levels, as a spring or by harmonics, see the module.
 
     Parameters ``gravity_compensator.j<i>.<component>``: ``l1 ...`` (urad/Nm), the change of compliance at each level;
     or ``k_c`` (N/mm), ``k_c_s0`` (N, absent where ``s0_mm`` is given) and with ``fit_geometry`` also ``a_x``, ``a_y``
-    and ``radius`` (mm); of several springs ``s1_k_c ...``. Typical of a 270 kg arm: 100 N/mm at a radius of 180 mm,
-    a torque of some kNm (mm in absolute readings) and a change of stiffness below some per cent.
+    and ``radius`` (mm); of several springs ``s1_k_c ...``; or ``s<n>`` and ``c<n>`` (Nm), the sine and cosine part
+    of its torque of order n. Typical of a 270 kg arm: 100 N/mm at a radius of 180 mm, a torque of some kNm (mm in
+    absolute readings) and a change of stiffness below some per cent.
 
     Options: see `identify.effects.compensator_options`.
 
@@ -85,53 +82,26 @@ def gravity_compensator(binding: Binding) -> Effect:
     for joint in joints:
         if robot.prismatic[joint]:
             raise InputError(f"effect {NAME}@j{joint + 1}: joint {joint + 1} slides; the spring turns with a joint")
-    parts = tuple(_part(binding, joint) for joint in joints)
-    own = np.cumsum([0, *(len(part.parameters) for part in parts)])
-    lent = own[-1] + np.cumsum([0, *(len(part.borrowed) for part in parts)])
-    inputs = [np.r_[own[i] : own[i + 1], lent[i] : lent[i + 1]] for i in range(len(parts))]
-
-    def displacement(scene: Scene, values: Floats) -> Floats:
-        moved = np.zeros_like(scene.point)
-        for part, index in zip(parts, inputs, strict=True):
-            angle, _ = _turn(part, scene, values[index])
-            moved += scene.joints.motion[:, part.joint] * angle[scene.experiment.row_shot, None]
-        return moved
-
-    def derivative(scene: Scene, values: Floats) -> Floats:
-        columns = np.zeros((len(scene.point), 3, lent[-1]))
-        for part, index in zip(parts, inputs, strict=True):
-            _, slopes = _turn(part, scene, values[index])
-            motion = scene.joints.motion[:, part.joint, :, None]
-            columns[:, :, index] = motion * slopes[scene.experiment.row_shot, None]
-        return columns
-
-    def why_zero(parameter: int) -> str:
-        number = int(np.searchsorted(own, parameter, side="right")) - 1
-        return parts[number].why_zero(int(parameter - own[number]))
-
-    return Effect(
-        NAME,
-        tuple(parameter for part in parts for parameter in part.parameters),
-        displacement,
-        derivative,
-        why_zero,
-        borrowed=tuple(name for part in parts for name in part.borrowed),
-        stops={part.joint: part.levels for part in parts if part.levels is not None},
-    )
+    return joint_turns(NAME, [_part(binding, joint) for joint in joints])
 
 
-def _turn(part: _Part, scene: Scene, values: Floats) -> tuple[Floats, Floats]:
-    """Angle and slopes of a part in every shot."""
-    experiment, joint = scene.experiment, part.joint
-    return part.turn(scene.joints.torque[:, joint], experiment.q[experiment.shot_pose, joint], values)
-
-
-def _part(binding: Binding, joint: int) -> _Part:
+def _part(binding: Binding, joint: int) -> JointTurn:
     """The compensator of one joint, as its options say."""
     options = options_of(binding.options, joint)
-    if mode_of(options) == "levels":
+    mode = mode_of(options)
+    if mode == "levels":
         return _levels(joint, *read_levels(options))
-    return _springs(binding, joint, read_springs(options))
+    return _springs(binding, joint, read_springs(options)) if mode == "spring" else _harmonics(binding, joint, options)
+
+
+def _at(joint: int, turn: TorqueTurn) -> Turn:
+    """The turn of a joint, given by its torque and its value."""
+
+    def in_scene(scene: Scene, values: Floats) -> tuple[Floats, Floats]:
+        experiment = scene.experiment
+        return turn(scene.joints.torque[:, joint], experiment.q[experiment.shot_pose, joint], values)
+
+    return in_scene
 
 
 # --- levels
@@ -155,7 +125,7 @@ def nearest_level(levels: Floats, q: Floats, tolerance: float = np.inf) -> np.nd
     return np.asarray(index)
 
 
-def _levels(joint: int, levels: Floats, tolerance: float) -> _Part:
+def _levels(joint: int, levels: Floats, tolerance: float) -> JointTurn:
     """One change of compliance per level; a pose belongs to the nearest level."""
     parameters = tuple(
         Parameter(f"{NAME}.j{joint + 1}.l{i + 1}", "urad/Nm", URAD, limit=LIMIT) for i in range(len(levels))
@@ -172,46 +142,59 @@ def _levels(joint: int, levels: Floats, tolerance: float) -> _Part:
             "or no load puts a torque on this joint there"
         )
 
-    return _Part(joint, parameters, (), turn, why_zero, levels)
+    return JointTurn(joint, parameters, _at(joint, turn), why_zero, stops=levels)
 
 
 # --- springs
 
 
-def _springs(binding: Binding, joint: int, springs: tuple[SpringOptions, ...]) -> _Part:
+def _springs(binding: Binding, joint: int, springs: tuple[SpringOptions, ...]) -> JointTurn:
     """Springs of known or fitted geometry beside one joint."""
-    shares, held = axis_compliance(binding.others, binding.robot, joint)
-    if not shares and held == 0.0:
-        raise InputError(
-            f"effect {NAME}@j{joint + 1}: nothing in this model lets joint {joint + 1} yield, so a spring beside it "
-            f"has nothing to act on; add joint_compliance@j{joint + 1}"
-        )
-    weights = np.array(list(shares.values()))
     several = len(springs) > 1
     sets = [_parameters(joint, spring, f"s{i + 1}_" if several else "") for i, spring in enumerate(springs)]
     ends = np.cumsum([0, *map(len, sets)])
 
-    def turn(torque: Floats, q: Floats, values: Floats) -> tuple[Floats, Floats]:
-        compliance = held + float(weights @ values[ends[-1] :])
-        field, slopes = np.zeros((2, len(q))), np.zeros((2, len(q), ends[-1]))
+    def field(q: Floats, values: Floats) -> tuple[Floats, Floats]:
+        total, slopes = np.zeros((2, len(q))), np.zeros((2, len(q), ends[-1]))
         for i, spring in enumerate(springs):
             added, slopes[:, :, ends[i] : ends[i + 1]] = _field(spring, q, values[ends[i] : ends[i + 1]])
-            field += added
-        gain = 1.0 / (1.0 + compliance * field[1])
-        rest = torque - field[0]
+            total += added
+        return total, slopes
+
+    return _beside(binding, joint, tuple(p for group in sets for p in group), field, sets[0][0].name)
+
+
+def _beside(
+    binding: Binding, joint: int, parameters: tuple[Parameter, ...], field: Field, needed: str | None = None
+) -> JointTurn:
+    """What a torque M and its stiffness k do to a joint that yields.
+
+    Args:
+        binding: Robot and the effects that own the joint's compliance.
+        joint: Number of the joint.
+        parameters: The p unknowns of the field.
+        field: M and k.
+        needed: Name of the parameter without which the other columns are zero.
+    """
+    shares, held = borrowed_compliance(NAME, binding, joint)
+    weights, own_count = np.array(list(shares.values())), len(parameters)
+
+    def turn(torque: Floats, q: Floats, values: Floats) -> tuple[Floats, Floats]:
+        compliance = held + float(weights @ values[own_count:])
+        (moment, stiffness), slopes = field(q, values[:own_count])
+        gain = 1.0 / (1.0 + compliance * stiffness)
+        rest = torque - moment
         yielded = compliance * gain
         own = -yielded[:, None] * (slopes[0] + (yielded * rest)[:, None] * slopes[1])
         lent = (gain**2 * rest - torque)[:, None] * weights
         return yielded * rest - compliance * torque, np.hstack([own, lent])
 
     def why_zero(parameter: int) -> str:
-        wanted = " and ".join([*list(shares)[:1], sets[0][0].name])
-        return (
-            f"at the values it was computed for, joint {joint + 1} is rigid or its spring constant zero; state "
-            f"{wanted} under [model.nominal]"
-        )
+        wanted = " and ".join([*list(shares)[:1], *([needed] if needed else [])])
+        zero = "is rigid or its spring constant zero" if needed else "is rigid"
+        return f"at the values it was computed for, joint {joint + 1} {zero}; state {wanted} under [model.nominal]"
 
-    return _Part(joint, tuple(p for group in sets for p in group), tuple(shares), turn, why_zero)
+    return JointTurn(joint, parameters, _at(joint, turn), why_zero, tuple(shares))
 
 
 def _parameters(joint: int, spring: SpringOptions, prefix: str) -> tuple[Parameter, ...]:
@@ -244,28 +227,27 @@ def _field(spring: SpringOptions, q: Floats, values: Floats) -> tuple[Floats, Fl
     return basis @ force, slopes
 
 
-def axis_compliance(effects: tuple[Effect, ...], robot: Robot, joint: int) -> tuple[dict[str, float], float]:
-    """What other effects add to the compliance about the axis of a joint.
+# --- harmonics
 
-    Args:
-        effects: The other effects.
-        robot: The robot.
-        joint: Number of the joint, from 0.
 
-    Returns:
-        Name of each parameter that takes part -> rad/Nm per unit: the joint's own compliance, and the turning
-        elements of the link that ends at this joint, projected on the axis; and the sum of what is held, rad/Nm.
-    """
-    own = np.eye(robot.n)[joint]
-    link = np.zeros(6 * (robot.n + 1))
-    link[6 * joint + 3 : 6 * joint + 6] = link_turns(robot)[joint, 2]
-    along = {"joints": own, "links": link, "base": np.zeros(12), None: own}
+def _harmonics(binding: Binding, joint: int, options: Mapping[str, Any]) -> JointTurn:
+    """A spring whose torque is a sum of sines and cosines of the joint value."""
+    orders = read_orders(options)
+    parameters = tuple(
+        Parameter(
+            f"{NAME}.j{joint + 1}.{kind}{order}",
+            "Nm",
+            SI_OF["Nm"],
+            limit=TORQUE_LIMIT,
+            plausible=PLAUSIBLE_TORQUE,
+            typical=TYPICAL_TORQUE,
+        )
+        for order in orders
+        for kind in "sc"
+    )
 
-    def share(effect: Effect, term: Term) -> float:
-        twice = 2.0 if term.mutual and term.first != term.second else 1.0
-        size = twice * along[effect.springs][term.first] * along[effect.springs][term.second]
-        return float(size) * SI_OF[term.unit] if abs(size) > 1e-12 else 0.0
+    def field(q: Floats, values: Floats) -> tuple[Floats, Floats]:
+        basis = harmonic_basis(orders, q)
+        return basis @ values, basis
 
-    shares = {term.name: share(effect, term) for effect in effects for term in effect.terms}
-    held = sum(value * share(effect, term) for effect in effects for term, value in effect.held)
-    return {name: size for name, size in shares.items() if size}, held
+    return _beside(binding, joint, parameters, field)

@@ -1,6 +1,6 @@
 """Options of `gravity_compensator`: the table ``[model.gravity_compensator]`` of a study.
 
-    mode = "levels"            # or "spring"; needed only where the other keys do not tell
+    mode = "levels"            # "spring" or "harmonics"; needed only where the other keys do not tell
     levels_deg = [-100, -50, -5]   # two or more; a pose belongs to the nearest one
     tolerance_deg = 2.0        # optional: a pose further than this from every level is an error
 
@@ -10,6 +10,8 @@
     s0_mm = 458.0              # optional: free length; without it K_c s_0 is a second unknown
     fit_geometry = false       # a_x_mm, a_y_mm and radius_mm are starting values then
     springs = [{...}, {...}]   # several springs, in place of the five keys above
+
+    orders = [1, 2, 3]         # harmonics: waves per turn of the joint; this is the default
 
 The same keys in ``[model.gravity_compensator.j2]`` hold for that joint alone.
 """
@@ -23,16 +25,19 @@ from typing import Any
 import numpy as np
 
 from identify.arrays import Floats
+from identify.effects.joint_turns import joint_options
 from identify.errors import InputError
 from identify.gravity_spring import SpringGeometry
 from identify.units import DEG, MM
 
-__all__ = ["SpringOptions", "mode_of", "options_of", "read_levels", "read_springs"]
+__all__ = ["SpringOptions", "mode_of", "options_of", "read_levels", "read_orders", "read_springs"]
 
 _HEADING = "[model.gravity_compensator]"
 _LEVEL_KEYS = ("levels_deg", "tolerance_deg")
 _SPRING_KEYS = ("a_x_mm", "a_y_mm", "radius_mm", "s0_mm", "fit_geometry")
-_KEYS = ("mode", *_LEVEL_KEYS, *_SPRING_KEYS, "springs")
+_MOST_WAVES = 12  # a spring's torque is smooth
+_KEYS_OF = {"levels": _LEVEL_KEYS, "spring": (*_SPRING_KEYS, "springs"), "harmonics": ("orders",)}
+_KEYS = ("mode", *(key for keys in _KEYS_OF.values() for key in keys))
 
 
 @dataclass(frozen=True)
@@ -56,34 +61,45 @@ def options_of(options: Mapping[str, Any], joint: int) -> dict[str, Any]:
     Raises:
         InputError: A key that does not exist.
     """
-    own = options.get(f"j{joint + 1}", {})
-    common = {key: value for key, value in options.items() if not isinstance(value, Mapping)}
-    found = {**common, **(own if isinstance(own, Mapping) else {f"j{joint + 1}": own})}
-    for key in found:
-        if key not in _KEYS:
-            raise InputError(f"{_HEADING} {key}: unknown key; allowed: {', '.join(_KEYS)}")
-    return found
+    return joint_options("gravity_compensator", _KEYS, options, joint)
 
 
 def mode_of(options: Mapping[str, Any]) -> str:
-    """``levels`` or ``spring``, as stated or as the other keys tell.
+    """``levels``, ``spring`` or ``harmonics``, as stated or as the other keys tell.
 
     Raises:
-        InputError: Neither follows, or the keys of both are there.
+        InputError: None follows, or the keys of another one are there.
     """
-    levels = [key for key in _LEVEL_KEYS if key in options]
-    spring = [key for key in (*_SPRING_KEYS, "springs") if key in options]
-    told = "levels" if levels and not spring else "spring" if spring and not levels else None
-    mode = options.get("mode", told)
-    if mode not in {"levels", "spring"}:
+    told = [mode for mode, keys in _KEYS_OF.items() if any(key in options for key in keys)]
+    mode = options.get("mode", told[0] if len(told) == 1 else None)
+    if mode not in _KEYS_OF:
         given = "is missing" if mode is None else f"= {mode!r} is unknown"
         raise InputError(
-            f'{_HEADING} mode {given}: "levels" (with levels_deg) or "spring" (with a_x_mm, a_y_mm, radius_mm) expected'
+            f'{_HEADING} mode {given}: "levels" (with levels_deg), "spring" (with a_x_mm, a_y_mm, radius_mm) or '
+            '"harmonics" (with orders) expected'
         )
-    stray = spring if mode == "levels" else levels
+    stray = [key for other, keys in _KEYS_OF.items() if other != mode for key in keys if key in options]
     if stray:
         raise InputError(f'{_HEADING} {stray[0]}: has no meaning with mode = "{mode}"; leave it out')
     return str(mode)
+
+
+def read_orders(options: Mapping[str, Any]) -> tuple[int, ...]:
+    """Orders of the harmonics, waves per turn of the joint, ascending.
+
+    Raises:
+        InputError: No list of different whole numbers from 1 to 12.
+    """
+    given = options.get("orders", [1, 2, 3])
+    whole = isinstance(given, list | tuple) and all(
+        isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MOST_WAVES for value in given
+    )
+    if not whole or not given or len(set(given)) < len(given):
+        raise InputError(
+            f"{_HEADING} orders = {given!r}: a list of different whole numbers from 1 to {_MOST_WAVES} expected, for "
+            "example [1, 2, 3]; order 0 would be a zero offset of the joint, which geometry holds"
+        )
+    return tuple(sorted(given))
 
 
 def read_levels(options: Mapping[str, Any]) -> tuple[Floats, float]:

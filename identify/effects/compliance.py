@@ -7,7 +7,7 @@ markers by ``c (D_s t_r + D_r t_s)``, or by ``c D_s t_s`` where s = r (Klimchik,
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +25,13 @@ __all__ = ["joint_compliance", "link_compliance", "spring_effect"]
 LIMIT = 1000.0  # urad/Nm or um/N: a hundred times the softest joint of an industrial arm
 
 
-def spring_effect(name: str, terms: tuple[Term, ...], springs: SpringSet, why_zero: Callable[[int], str]) -> Effect:
+def spring_effect(
+    name: str,
+    terms: tuple[Term, ...],
+    springs: SpringSet,
+    why_zero: Callable[[int], str],
+    sizes: Mapping[str, tuple[float, float]] | None = None,
+) -> Effect:
     """An effect that is linear in compliances of pairs of springs.
 
     Args:
@@ -33,8 +39,15 @@ def spring_effect(name: str, terms: tuple[Term, ...], springs: SpringSet, why_ze
         terms: Its p compliances.
         springs: Which springs the terms count.
         why_zero: Reason for a column of zeros.
+        sizes: Largest plausible and typical size of a compliance, by its unit; none if absent.
     """
-    parameters = tuple(Parameter(term.name, term.unit, SI_OF[term.unit], limit=LIMIT) for term in terms)
+    known = sizes or {}
+    parameters = tuple(
+        Parameter(
+            term.name, term.unit, SI_OF[term.unit], 0.0, False, LIMIT, *known.get(term.unit, (np.inf, float("nan")))
+        )
+        for term in terms
+    )
     scale = np.array([parameter.scale for parameter in parameters])
     first = np.array([term.first for term in terms], dtype=np.int64)
     second = np.array([term.second for term in terms], dtype=np.int64)

@@ -8,7 +8,8 @@ import pytest
 from scipy.optimize import brentq
 
 from identify.effects import bind_effects, build_scene
-from identify.effects.compensator import axis_compliance, nearest_level
+from identify.effects.compensator import nearest_level
+from identify.effects.joint_turns import axis_compliance
 from identify.errors import InputError, NotIdentifiable
 from identify.experiment import full_experiment
 from identify.gravity_spring import SpringGeometry, spring_basis, spring_from_levels, spring_slopes
@@ -114,6 +115,7 @@ def weighing(robot):
 
 def random_values(model, seed=0):
     sizes = {"k_c": 150.0, "k_c_s0": 60000.0, "a_x": 650.0, "a_y": 130.0, "radius": 190.0}
+    sizes |= {f"{kind}{order}": 3000.0 / order for kind in "sc" for order in (1, 2, 3)}
     rng = np.random.default_rng(seed)
     return np.array([
         sizes.get(name.split(".")[-1].split("_", 1)[-1] if "s1_" in name or "s2_" in name else name.split(".")[-1], 2.0)
@@ -128,6 +130,7 @@ MODES = {
     "free length known": SPRING | {"s0_mm": 458.0},
     "geometry fitted": SPRING | {"fit_geometry": True},
     "two springs": {"springs": [SPRING, {"a_x_mm": 600.0, "a_y_mm": -200.0, "radius_mm": 150.0, "s0_mm": 400.0}]},
+    "harmonics": {"mode": "harmonics"},
     "two joints": {"j2": SPRING, "j3": {"a_x_mm": 300.0, "a_y_mm": 50.0, "radius_mm": 100.0, "fit_geometry": True}},
 }
 
@@ -231,6 +234,76 @@ def test_what_yields_about_the_axis_is_the_joint_and_the_turning_elements_of_the
     constants = {"template": [], "constants": {"link1": {"k55": 0.4}}}
     stiff = bind_effects(("link_compliance",), robot, options={"link_compliance": constants})
     assert axis_compliance(stiff, robot, 1) == ({}, pytest.approx(4e-7))
+
+
+# --- harmonics
+
+
+def test_harmonics_turn_the_joint_as_their_torque_and_its_slope_say():
+    robot = weighing(load_robot("kr270_r2700"))
+    effects = ("joint_compliance@j2", "gravity_compensator")
+    model = model_of(study_of(robot, effects, frame_free=False, markers_fitted=False, orders=[1, 4]))
+    assert [name.split(".")[-1] for name in model.names[1:]] == ["s1", "c1", "s4", "c4"]
+    assert {(p.unit, p.plausible) for p in model.parameters[1:]} == {("Nm", 20000.0)}
+    q = np.random.default_rng(1).uniform(robot.lower, robot.upper, (5, 6))
+    scene, values = scene_of(robot, q), np.array([0.8, 4000.0, -2500.0, 300.0, 200.0])
+
+    def torque(at):
+        return 4000 * np.sin(at) - 2500 * np.cos(at) + 300 * np.sin(4 * at) + 200 * np.cos(4 * at)
+
+    angles, h = q[scene.experiment.shot_pose, 1], 1e-5
+    stiffness = (torque(angles + h) - torque(angles - h)) / (2 * h)
+    turned = (scene.joints.torque[:, 1] - torque(angles)) / (1 / 0.8e-6 + stiffness)
+    expected = scene.joints.motion[:, 1] * turned[scene.experiment.row_shot, None]
+    np.testing.assert_allclose(respond(model, scene.experiment, values).deflection, expected, atol=1e-11)
+
+
+def test_harmonics_show_at_zero_where_the_joint_yields_and_say_so_where_it_does_not():
+    robot = weighing(load_robot("kr270_r2700"))
+    study = study_of(robot, ("joint_compliance@j2", "gravity_compensator"), mode="harmonics")
+    model = model_of(study)
+    scene = scene_of(robot, np.random.default_rng(1).uniform(robot.lower, robot.upper, (5, 6)))
+    values = model.nominal.copy()
+    values[model.names.index("joint_compliance.j2")] = 0.5
+    columns = effect_columns(model, scene, values)[:, :, model.names.index("gravity_compensator.j2.s1") :]
+    assert (np.abs(columns).max(axis=(0, 1)) > 1e-8).all()
+    assert "joint 2 is rigid; state joint_compliance.j2 under [model.nominal]" in model.effects[1].why_zero(0)
+
+
+@pytest.mark.parametrize("reading", [1e-12, 3e-5])
+def test_harmonics_are_recovered(reading):
+    robot = weighing(load_robot("kr270_r2700"))
+    truth = JOINTS | {f"gravity_compensator.j2.{key}": v for key, v in HARMONICS.items()}
+    study = study_of(robot, reference="absolute", mode="harmonics", noise=Noise(reading=max(reading, 1e-9)))
+    result = identify(study, readings(study, truth, levelled(robot, 4, np.linspace(-139, -6, 12)), reading))
+    assert {name for name in result.parameters if name.startswith("gravity")} == set(truth) - set(JOINTS)
+    assert_covered(result, truth)
+
+
+HARMONICS = {"s1": 5000.0, "c1": -2000.0, "s2": -900.0, "c2": 400.0, "s3": 150.0, "c3": -80.0}
+
+
+def test_harmonics_reproduce_the_deflections_of_a_real_spring():
+    """Anchors 0.7 m and 0.18 m from the axis, joint 2 over its whole range."""
+    robot = weighing(load_robot("kr270_r2700"))
+    geometry = {"a_x_mm": 700 * np.cos(0.17), "a_y_mm": 700 * np.sin(0.17), "radius_mm": 180.0}
+    truth = study_of(robot, ("joint_compliance", "gravity_compensator"), reference="absolute", **geometry)
+    experiment = levelled(robot, 2, np.linspace(-139, -6, 20))
+    data = readings(truth, JOINTS | TRUE_SPRING, experiment, 1e-9)
+    spring, plain = (
+        respond(model_of(truth), experiment, np.array([given.get(n, 0.0) for n in model_of(truth).names])).deflection
+        for given in (JOINTS | TRUE_SPRING, JOINTS)
+    )
+    share = {}
+    for orders in ([1], [1, 2], [1, 2, 3]):
+        study = study_of(robot, FIXED, reference="absolute", frame_free=False, markers_fitted=False, orders=orders)
+        result = identify(study, data)
+        left = result.misfit.rms / np.sqrt(((spring - plain) ** 2).sum(axis=1).mean())
+        share[len(orders)] = float(left)
+    told = f"left of the spring's deflection, by orders: { {n: f'{100 * s:.3f} %' for n, s in share.items()} }"
+    assert share[3] < 0.002, told
+    assert share[3] < 0.3 * share[2], told
+    assert share[2] < 0.3 * share[1], told
 
 
 # --- published counts
@@ -427,6 +500,18 @@ def test_a_level_that_no_pose_visits_is_reported_and_left_out_of_the_second_step
         ("gravity_compensator", {"springs": [SPRING], "a_x_mm": 1.0}, "give it in each entry of springs"),
         ("gravity_compensator", {"springs": [SPRING, {"a_x_mm": 1.0}]}, "springs, entry 2, a_y_mm is missing"),
         ("gravity_compensator", {"j2": {"radius_mm": 5.0}}, "a_x_mm is missing"),
+        ("gravity_compensator", {"orders": []}, r"orders = \[\]: a list of different whole numbers from 1 to 12"),
+        ("gravity_compensator", {"orders": [0, 1]}, "order 0 would be a zero offset of the joint"),
+        ("gravity_compensator", {"orders": [1, 1]}, "orders = "),
+        ("gravity_compensator", {"orders": [1.5]}, "orders = "),
+        ("gravity_compensator", {"orders": 3}, "orders = 3"),
+        (
+            "gravity_compensator",
+            {"mode": "harmonics", "levels_deg": LEVELS},
+            'levels_deg: has no meaning with mode = "ha',
+        ),
+        ("gravity_compensator", {"mode": "spring", "orders": [1]}, 'orders: has no meaning with mode = "spring"'),
+        ("gravity_compensator", {"orders": [1], "levels_deg": LEVELS}, "mode is missing"),
         ("gravity_compensator", {"levels_deg": [-50]}, "levels_deg = .*two or more different values"),
         ("gravity_compensator", {"levels_deg": [-50, -50]}, "two or more different values"),
         ("gravity_compensator", {"levels_deg": [-50, "x"]}, "two or more different values"),
@@ -444,6 +529,8 @@ def test_a_spring_needs_a_joint_that_turns_and_yields():
     with pytest.raises(InputError, match=r"nothing in this model lets joint 2 yield.*add joint_compliance@j2"):
         model_of(study_of(robot, ("joint_compliance@j3", "gravity_compensator@j2"), **SPRING))
     sliding = replace(robot, prismatic=np.array([False, True, *[False] * 4]))
+    with pytest.raises(InputError, match="nothing in this model lets joint 2 yield"):
+        model_of(study_of(robot, ("gravity_compensator@j2",), mode="harmonics"))
     with pytest.raises(InputError, match="joint 2 slides"):
         model_of(study_of(sliding, **SPRING))
 
