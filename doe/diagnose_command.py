@@ -9,6 +9,7 @@ from identify.config import load_study
 from identify.diagnose import diagnose
 from identify.diagnose.content import diagnosis_json, diagnosis_lines
 from identify.diagnose.extension import extended_toml
+from identify.diagnose.residual_table import residuals_csv
 from identify.effects import REGISTRY
 from identify.errors import InputError
 from identify.tables import load_measurements
@@ -16,6 +17,7 @@ from identify.tables import load_measurements
 __all__ = ["run_diagnose"]
 
 EXTENDED = "extended.toml"
+RESIDUALS = "residuals.csv"
 
 
 def run_diagnose(
@@ -39,5 +41,5 @@ def run_diagnose(
     study = load_study(study_file)
     found = diagnose(study, load_measurements(measurements, study), seed=seed, without=frozenset(without))
     content = {**diagnosis_json(found), "extended_study": EXTENDED, "next_poses": None}
-    tables = {EXTENDED: extended_toml(found, out)}
+    tables = {EXTENDED: extended_toml(found, out), RESIDUALS: residuals_csv(found)}
     return Outcome("diagnose", content, (*study.inputs, measurements), tables, diagnosis_lines(content))

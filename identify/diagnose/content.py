@@ -6,29 +6,35 @@ from typing import Any
 
 import numpy as np
 
+from identify.diagnose.curves import Curve, curves
 from identify.diagnose.diagnosis import Diagnosis
 from identify.diagnose.faults import Fault
 from identify.diagnose.library import Hypothesis
+from identify.diagnose.replicates import replicates
 from identify.diagnose.screen import Screen, screen
 from identify.diagnose.search import Cause
 from identify.summary import identification_json
-from identify.units import MM
+from identify.units import MM, MRAD
 
 __all__ = ["diagnosis_json", "diagnosis_lines"]
 
 _SHOWN = 12  # dependences
+_DIGITS = 6
+_AXES = ("x", "y", "z", "norm")
 
 
 def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
     """The content of ``diagnose.json`` (without schema, provenance and plans); lengths in mm."""
     wrong = screen(found.search.first, found.identification.reference)
     return {
+        "measured": _measured(found),
         "verdict": found.verdict,
         "causes": _causes(found),
         "remainder": found.remainder.present,
         "remainder_depends_on": found.remainder.depends_on,
         "gain": _gain(found),
         "noise": _noise(found),
+        "curves": [_curve(found, curve) for curve in curves(found.identification, found.causes)],
         "extended_model": list(found.extended_study.effects),
         "wrong": _wrong(wrong, found),
         "lack_of_fit": {"before": vars(found.first_lack), "after": vars(found.remainder.lack_of_fit)},
@@ -36,6 +42,18 @@ def diagnosis_json(found: Diagnosis) -> dict[str, Any]:
         "reference": found.identification.reference,
         "identification": identification_json(found.identification),
         "notes": list(found.notes),
+    }
+
+
+def _measured(found: Diagnosis) -> dict[str, Any]:
+    """What was measured."""
+    experiment = found.data.experiment
+    return {
+        "robot": found.study.robot.name,
+        "poses": len(np.unique(experiment.row_visit)),
+        "readings": len(found.data.positions),
+        "loads": [experiment.loads[index].name for index in np.unique(experiment.shot_load)],
+        "markers": [experiment.markers.names[index] for index in np.unique(experiment.row_marker)],
     }
 
 
@@ -58,6 +76,20 @@ def _cause(found: Diagnosis, cause: Cause) -> dict[str, Any]:
         **_plain(own.name, own.where, cause.p_value),
         "ambiguous_with": list(dict.fromkeys(names)),
         "parameters": _parameters(found, own),
+        "options": dict(own.options),
+    }
+
+
+def _curve(found: Diagnosis, curve: Curve) -> dict[str, Any]:
+    """Turn of a joint over its value, with the half width of its 95 % band."""
+    slides = bool(found.study.robot.prismatic[curve.joint])
+    unit, word = (MM, "mm") if slides else (MRAD, "mrad")
+    return {
+        "cause": curve.cause,
+        "joint": f"j{curve.joint + 1}",
+        "q_mm" if slides else "q_deg": np.round(curve.value / found.study.joint_units[curve.joint], _DIGITS),
+        f"turn_{word}": np.round(curve.turn / unit, _DIGITS),
+        f"half_{word}": np.round(curve.half / unit, _DIGITS),
     }
 
 
@@ -135,7 +167,32 @@ def _wrong(wrong: Screen, found: Diagnosis) -> dict[str, Any]:
         "load_rms_mm": {name: value / MM for name, value in wrong.load.items()},
         "worst_poses": [{"pose": name, "rms_mm": value / MM} for name, value in wrong.worst.items()],
         "depends_on": [vars(dependence) for dependence in wrong.dependences[:_SHOWN]],
+        "rank_correlation": _correlations(wrong),
         "p_value": found.first_lack.p_value,
+        "replicates": _replicates(found),
+    }
+
+
+def _correlations(wrong: Screen) -> dict[str, list[float]]:
+    """Rank correlation of x, y, z and norm of the residual with every quantity, in the order of the table."""
+    listed: dict[str, dict[str, float]] = {}
+    for dependence in wrong.dependences:
+        listed.setdefault(dependence.column, {})[dependence.axis] = round(dependence.correlation, 4)
+    return {column: [by_axis[axis] for axis in _AXES] for column, by_axis in sorted(listed.items())}
+
+
+def _replicates(found: Diagnosis) -> dict[str, Any] | None:
+    """Lack of fit against the scatter of replicates, before and after; None without replicates."""
+    before, after = replicates(found.search.first), replicates(found.search.last)
+    if before is None or after is None:
+        return None
+    return {
+        "readings": before.readings,
+        "std_mm": before.std / MM,
+        "chi2": before.chi2,
+        "dof": before.dof,
+        "before": {"ratio": before.ratio, "p_value": before.p_value},
+        "after": {"ratio": after.ratio, "p_value": after.p_value},
     }
 
 

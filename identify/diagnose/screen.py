@@ -7,11 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identify.arrays import Floats
+from identify.arrays import Floats, Ints
+from identify.effects import Scene
+from identify.experiment import Experiment
 from identify.fit import Fit
 from identify.identification import Misfit, misfit_of
+from identify.units import DEG, MM
 
-__all__ = ["Dependence", "Screen", "screen"]
+__all__ = ["Dependence", "Screen", "recorded", "screen"]
 
 _WORST = 8  # poses
 
@@ -21,7 +24,7 @@ class Dependence:
     """How one axis of the residual goes with one recorded or computed quantity, over the visits.
 
     Attributes:
-        column: Name of the quantity; ``t3_Nm`` is the torque on joint 3.
+        column: Name of the quantity; ``t3_Nm`` is the torque on joint 3, ``range_m`` the distance to the instrument.
         axis: x, y or z of the base frame, or ``norm``.
         correlation: Spearman's rank correlation.
         p_value: Probability of one that large without a dependence.
@@ -97,7 +100,9 @@ def _dependences(found: Fit, misfit: Misfit) -> tuple[Dependence, ...]:
     mean = np.stack([np.bincount(index, misfit.error[:, axis]) / count for axis in range(3)], axis=1)
     axes = {**dict(zip("xyz", mean.T, strict=True)), "norm": np.linalg.norm(mean, axis=1)}
     made = []
-    for column, values in _quantities(found, present):
+    first = _first_rows(found.data.experiment.row_shot, present)
+    everything = recorded(found.data.experiment, found.response.scene, found.state.base_T_measurement[:3, 3])
+    for column, values in ((name, rows[first]) for name, rows in everything):
         if np.ptp(values) > 0:
             for axis, error in axes.items():
                 result = spearmanr(values, error)
@@ -105,20 +110,33 @@ def _dependences(found: Fit, misfit: Misfit) -> tuple[Dependence, ...]:
     return tuple(sorted(made, key=lambda item: -abs(item.correlation)))
 
 
-def _quantities(found: Fit, shots: np.ndarray) -> Iterator[tuple[str, Floats]]:
-    """Names and values (S,) of everything that shots can be laid out by."""
-    experiment, scene = found.data.experiment, found.response.scene
-    q = experiment.q[experiment.shot_pose[shots]]
-    torque = scene.joints.torque[shots]
-    for joint in range(q.shape[1]):
-        yield f"q{joint + 1}_deg", q[:, joint]
-        yield f"t{joint + 1}_Nm", torque[:, joint]
-        if experiment.approach is not None:
-            yield f"approach{joint + 1}", experiment.approach[experiment.shot_visit[shots], joint]
-    first = np.zeros(len(experiment.shot_visit), dtype=np.int64)
-    first[experiment.row_shot[::-1]] = np.arange(len(experiment.row_shot))[::-1]
+def _first_rows(row_shot: Ints, shots: Ints) -> Ints:
+    """The first row of each of some shots."""
+    first = np.zeros(int(row_shot.max()) + 1, dtype=np.int64)
+    first[row_shot[::-1]] = np.arange(len(row_shot))[::-1]
+    rows: Ints = first[shots]
+    return rows
+
+
+def recorded(experiment: Experiment, scene: Scene, station: Floats) -> Iterator[tuple[str, Floats]]:
+    """Names and values (R,) of everything that rows can be laid out by, in the units of the names.
+
+    Args:
+        experiment: The conditions.
+        scene: Their fields.
+        station: (3,) the instrument in the base frame, m.
+    """
+    robot = scene.frames.robot
+    q = experiment.q[experiment.shot_pose[experiment.row_shot]] / np.where(robot.prismatic, MM, DEG)
+    torque = scene.joints.torque[experiment.row_shot]
+    for joint in range(robot.n):
+        yield f"q{joint + 1}_{'mm' if robot.prismatic[joint] else 'deg'}", q[:, joint]
+    for joint in range(robot.n):
+        yield f"t{joint + 1}_{'N' if robot.prismatic[joint] else 'Nm'}", torque[:, joint]
+    if experiment.approach is not None:
+        for joint in range(robot.n):
+            yield f"approach{joint + 1}", experiment.approach[experiment.row_visit, joint]
     for name, values in (("time_s", experiment.time), ("temperature_C", experiment.temperature)):
         if values is not None:
-            yield name, values[first[shots]]
-    station = found.state.base_T_measurement[:3, 3]
-    yield "range_m", np.linalg.norm(scene.point[first[shots]] - station, axis=1)
+            yield name, values
+    yield "range_m", np.linalg.norm(scene.point - station, axis=1)
