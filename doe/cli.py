@@ -9,7 +9,7 @@ import logging
 import sys
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -177,6 +177,21 @@ def reduce(study: Path, *, out: Path, common: Common = _DEFAULT) -> int:
     from identify.reduce_command import run_reduce
 
     return _finish(lambda: run_reduce(study, seed=common.seed), out, common)
+
+
+@app.command
+def report(folder: Path, *, common: Common = _DEFAULT) -> int:
+    """Write one HTML file, report.html, from the results in a folder.
+
+    Args:
+        folder: Folder with diagnose.json or other results.
+        common: Options that every command has.
+    """
+    from doe.report.command import check_report, run_report
+
+    folder = folder.resolve()
+    check_report(folder, common.force)
+    return _finish(lambda: run_report(folder), folder, replace(common, force=True))
 
 
 def _finish(run: Callable[[], Outcome], out: Path, common: Common) -> int:

@@ -75,8 +75,8 @@ def _curve(result: Identification, cause: Cause) -> Curve | None:
     turn, slopes = _turned(motion, moved[..., None])[:, 0], _turned(motion, response.derivative[:, :, index])
     by_pose = turn.reshape(-1, _POINTS)
     size = np.abs(turn).max()
-    straight = np.linalg.norm(moved - motion * turn[:, None], axis=1).max() <= _SAME * np.linalg.norm(moved, axis=1).max()
-    if not straight or np.ptp(by_pose, axis=0).max() > _SAME * size or np.ptp(by_pose[0]) <= _SAME * size:
+    beside = np.linalg.norm(moved - motion * turn[:, None], axis=1).max() > _SAME * np.linalg.norm(moved, axis=1).max()
+    if beside or np.ptp(by_pose, axis=0).max() > _SAME * size or np.ptp(by_pose[0]) <= _SAME * size:
         return None
     spread = slopes[:_POINTS] @ result.covariance[np.ix_(index, index)]
     half = result.quantile * np.sqrt(np.maximum((spread * slopes[:_POINTS]).sum(axis=1), 0.0))
