@@ -107,9 +107,9 @@ def _cause(cause: Entry, drawn: dict[str, Entry], folder: Folder) -> Markup:
     entry = name if where is None else f"{name}@{where}"
     title = cause_words(name, where)
     if cause.get("what") is not None:
-        return element("div", element("h3", title[:1].upper() + title[1:]), _fault(cause), class_="cause")
+        return element("div", element("h3", _capital(title)), _fault(cause), class_="cause")
     parts = [
-        element("h3", title[:1].upper() + title[1:], " ", element("code", entry)),
+        element("h3", _capital(title), " ", element("code", entry)),
         element("p", f"Evidence: {probability(cause['p_value'])}, corrected for everything that was tried."),
         _sizes(cause),
         _options(cause),
@@ -119,6 +119,10 @@ def _cause(cause: Entry, drawn: dict[str, Entry], folder: Folder) -> Markup:
         text = f"Its curve over the measured range{place_words(where)}, with the 95 % band of each point."
         parts.append(element("figure", curve(drawn[entry]), element("figcaption", text)))
     return element("div", *parts, class_="cause")
+
+
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]
 
 
 def _sizes(cause: Entry) -> Markup | None:
@@ -173,7 +177,7 @@ def _fault(cause: Entry) -> Markup:
     lines = cause.texts("lines") if cause.get("lines") is not None else []
     shown = ", ".join(lines[:_LINES]) + (f" and {len(lines) - _LINES} more" if len(lines) > _LINES else "")
     return joined(
-        element("p", f"{cause['what']}: {length(cause['error_mm'])} mm off."),
+        element("p", f"{_capital(str(cause['what']))}: {length(cause['error_mm'])} mm off."),
         element(
             "p", f"Line{'s'[: len(lines) > 1]} {shown} of the measurements; left out of the fit and of all errors."
         ),
@@ -264,4 +268,6 @@ def _advice(diagnosis: Entry) -> str:
         on = diagnosis["remainder_depends_on"]
         more = "" if on is None else f" Vary {on} on its own, everything else held."
         return "Repeat some poses at another time and from another side, and record temperature and approach." + more
+    if all(cause["name"] == "data_fault" for cause in diagnosis.tables("causes")):
+        return "Correct the faulty rows in the file or read them again, then diagnose again."
     return "Nothing is needed to tell the cause. After a repair, measure the worst poses of section 2 again."

@@ -184,6 +184,7 @@ def test_faulty_rows_alone_leave_the_simulation_right(made):
     text = made(diagnosis(causes=[fault]))
     assert "The simulation is right, but the measurements hold faulty rows at pose P6, marker M1." in text
     assert "Lines 8, 9 of the measurements" in text
+    assert "Correct the faulty rows" in text
 
 
 def test_a_size_beyond_what_is_plausible_is_said(made):
@@ -266,8 +267,11 @@ def test_faulty_rows_are_in_no_picture(made):
 def test_other_files_stay_and_other_results_are_shown(made, tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     criterion = {"name": "test_pose", "value": 3.2e-5, "unit": "mm^2", "rms_mm": 0.0057, "rms_total_mm": 0.0395}
-    plan = {"criterion": criterion, "poses": 15, "different_poses": 7, "rank": 5, "reference": "differences", "bound": 3.2e-5,
-            "efficiency": 0.994, "nonidentifiable": ["joint_compliance.j1"], "provenance": diagnosis()["provenance"]}  # fmt: skip
+    plan = {
+        "criterion": criterion, "poses": 15, "different_poses": 7, "rank": 5, "reference": "differences",
+        "bound": 3.2e-5, "efficiency": 0.994, "nonidentifiable": ["joint_compliance.j1"],
+        "provenance": diagnosis()["provenance"],
+    }  # fmt: skip
     (tmp_path / "plan.json").write_text(json_text(plan))
     text = made(diagnosis())
     assert "The plan" in text
