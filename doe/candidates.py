@@ -18,8 +18,8 @@ import numpy as np
 
 from doe.feasible import FEASIBLE, Screen, count_reasons, joint_range, screen
 from identify.arrays import Floats, Ints, frozen
-from identify.effects import bind_effects
 from identify.errors import Infeasible, InputError
+from identify.model import effects_of
 from identify.study import Study
 
 __all__ = ["Candidates", "candidates", "load_choices", "rounded", "sampled_range"]
@@ -225,8 +225,7 @@ def _search(tests: Screen, choices: Ints, ends: tuple[Floats, Floats], poses: in
 
 def _stops(study: Study) -> dict[int, Floats]:
     """Joints that stop at certain values only, because an effect of the study is defined there alone."""
-    effects = bind_effects(study.effects, study.robot, options=study.options, flange=not study.markers_fitted)
-    return {joint: values for effect in effects for joint, values in effect.stops.items()}
+    return {joint: values for effect in effects_of(study, study.effects) for joint, values in effect.stops.items()}
 
 
 def _taken(feasible: Ints, room: int, first: bool) -> tuple[int, bool]:

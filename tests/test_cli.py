@@ -20,6 +20,7 @@ from doe.cli import run
 from identify.effects import REGISTRY, bind_effects
 from identify.robot_files import load_robot
 from tests.doe.study_files import ARM, KR270, merged
+from tests.identify.studies import PLATE
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = ("plan", "evaluate", "simulate", "identify", "predict")
@@ -627,10 +628,14 @@ def test_the_table_of_parameters_names_every_pattern_with_its_unit():
     rows = [line for line in (ROOT / "docs" / "theory.md").read_text().splitlines() if line.startswith("| `")]
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
     table = [(pattern, unit) for names, unit, *rest in cells if rest for pattern in name_patterns(names)]
-    options = {"gravity_compensator": {"mode": "levels", "levels_deg": [-100.0, -50.0, 0.0]}}
+    options = {
+        "gravity_compensator": {"mode": "levels", "levels_deg": [-100.0, -50.0, 0.0]},
+        "transmission_error": {"orders": [1, 101], "knots_deg": 90.0},
+        "tracker_step": {"time_s": 5400.0},
+    }
     robot = load_robot("ur10")
     for name in REGISTRY:
-        *_, effect = bind_effects(("joint_compliance", name), robot, options=options, flange=True)
+        *_, effect = bind_effects(("joint_compliance", name), robot, options=options, flange=True, markers=PLATE)
         for parameter in effect.parameters:
             units = [unit for pattern, unit in table if re.fullmatch(pattern, parameter.name)]
             assert any(parameter.unit in unit for unit in units), parameter.name

@@ -9,21 +9,33 @@ from identify.effects.base import Binding, Effect, Fields, Parameter, Scene, Spr
 from identify.effects.compensator import gravity_compensator
 from identify.effects.compliance import joint_compliance, link_compliance
 from identify.effects.geometry import geometry
+from identify.effects.instrument import marker_seating, tracker_drift, tracker_scale, tracker_step
+from identify.effects.joint_errors import approach_hysteresis, transmission_error, wrist_coupling
 from identify.effects.special_compliance import base_compliance, joint_cross_compliance, tool_compliance
+from identify.effects.thermal import thermal_growth
 from identify.errors import InputError
+from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 
 __all__ = ["REGISTRY", "Binding", "Effect", "Fields", "Parameter", "Scene", "SpringSet", "bind_effects", "build_scene"]
 
 #: Name of an effect -> how it is bound to a robot.
 REGISTRY: dict[str, Callable[[Binding], Effect]] = {
+    "approach_hysteresis": approach_hysteresis,
     "base_compliance": base_compliance,
     "geometry": geometry,
     "gravity_compensator": gravity_compensator,
     "joint_compliance": joint_compliance,
     "joint_cross_compliance": joint_cross_compliance,
     "link_compliance": link_compliance,
+    "marker_seating": marker_seating,
+    "thermal_growth": thermal_growth,
     "tool_compliance": tool_compliance,
+    "tracker_drift": tracker_drift,
+    "tracker_scale": tracker_scale,
+    "tracker_step": tracker_step,
+    "transmission_error": transmission_error,
+    "wrist_coupling": wrist_coupling,
 }
 #: Effects that borrow parameters of others, and therefore are bound after them.
 BORROWERS = ("gravity_compensator",)
@@ -35,6 +47,8 @@ def bind_effects(
     *,
     options: Mapping[str, Mapping[str, Any]] | None = None,
     flange: bool = False,
+    loads: tuple[LoadCase, ...] = (),
+    markers: Markers | None = None,
 ) -> tuple[Effect, ...]:
     """Bind a study's list of effects to a robot; entries ``name`` or ``name@where``.
 
@@ -43,6 +57,8 @@ def bind_effects(
         robot: The robot.
         options: Options by effect name.
         flange: The flange has geometric errors of its own (marker positions are exact).
+        loads: The load cases of the study.
+        markers: Its markers.
 
     Raises:
         InputError: An effect that does not exist, a place it cannot have, or a wrong option.
@@ -57,5 +73,8 @@ def bind_effects(
     bound: dict[str, Effect] = {}
     for name in sorted(places, key=lambda name: name in BORROWERS):
         chosen = () if "" in places[name] else tuple(places[name])
-        bound[name] = REGISTRY[name](Binding(robot, chosen, given.get(name, {}), flange, tuple(bound.values())))
+        others = tuple(bound.values())
+        bound[name] = REGISTRY[name](
+            Binding(robot, chosen, given.get(name, {}), flange, others, loads=loads, markers=markers)
+        )
     return tuple(bound[name] for name in places)

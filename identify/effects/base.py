@@ -18,7 +18,7 @@ import numpy as np
 from identify.arrays import Floats
 from identify.experiment import Experiment
 from identify.kinematics import Frames
-from identify.loads import LoadCase
+from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 from identify.springs import Springs, base_springs, joint_springs, link_springs, load_torque, motion, self_weight_torque
 
@@ -39,6 +39,8 @@ class Parameter:
         nominal: Starting value, in ``unit``.
         nuisance: True for frame and markers, which are fitted but not asked for.
         limit: A fit that knows it no better than this (1 sigma, in ``unit``) holds it at its nominal value.
+        plausible: Largest absolute size, in ``unit``, that is physically plausible.
+        typical: Usual size, in ``unit``; nan where none can be said.
     """
 
     name: str
@@ -47,6 +49,8 @@ class Parameter:
     nominal: float = 0.0
     nuisance: bool = False
     limit: float = float("inf")
+    plausible: float = float("inf")
+    typical: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,8 @@ class Binding:
         options: The table ``[model.<effect>]`` of the study.
         flange: The flange has geometric errors of its own (marker positions are exact).
         others: The other effects of the model, for effects that lean on their parameters.
+        loads: The load cases of the study.
+        markers: The markers of the study.
     """
 
     robot: Robot
@@ -77,6 +83,8 @@ class Binding:
     options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     flange: bool = False
     others: tuple[Effect, ...] = ()
+    loads: tuple[LoadCase, ...] = ()
+    markers: Markers | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +171,8 @@ class Effect:
             values of the b borrowed ones.
         derivative: ``(scene, values) -> (R, 3, p + b)`` m per unit; the last b add to the columns of their owners.
         yields: True if it answers to loads (only then do differences between loads show it).
+        of_reading: True if it displaces what is read and not the arm (instrument, reflectors): of no concern to the
+            accuracy of a robot that is compensated.
         adjust: ``(robot, values) -> robot`` for effects that change the robot itself.
         reload: ``(experiment, values) -> experiment`` for effects that change what acts on the arm.
         through: True if it moves markers only through springs that other effects bring (a wrong mass, a wrong load):
@@ -181,6 +191,7 @@ class Effect:
     derivative: Displacement
     why_zero: Callable[[int], str]
     yields: bool = True
+    of_reading: bool = False
     adjust: Callable[[Robot, Floats], Robot] | None = None
     reload: Callable[[Experiment, Floats], Experiment] | None = None
     through: bool = False

@@ -34,7 +34,9 @@ def spring_effect(name: str, terms: tuple[Term, ...], springs: SpringSet, why_ze
         springs: Which springs the terms count.
         why_zero: Reason for a column of zeros.
     """
-    parameters = tuple(Parameter(term.name, term.unit, SI_OF[term.unit], limit=LIMIT) for term in terms)
+    parameters = tuple(
+        Parameter(term.name, term.unit, SI_OF[term.unit], limit=LIMIT, plausible=LIMIT) for term in terms
+    )
     scale = np.array([parameter.scale for parameter in parameters])
     first = np.array([term.first for term in terms], dtype=np.int64)
     second = np.array([term.second for term in terms], dtype=np.int64)

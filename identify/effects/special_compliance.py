@@ -10,6 +10,8 @@ from itertools import pairwise
 
 from identify.effects.base import Binding, Effect, SpringSet, Term
 from identify.effects.compliance import spring_effect
+from identify.effects.options import check_keys
+from identify.effects.places import joint_pair, named_places
 from identify.errors import InputError
 from identify.robot import Robot
 
@@ -30,7 +32,7 @@ def base_compliance(binding: Binding) -> Effect:
     Args:
         binding: Robot, places and options.
     """
-    places = _named_places("base_compliance", ("base", "column"), binding.where)
+    places = named_places("base_compliance", ("base", "column"), binding.where)
     starts = {"base": 0, "column": 6}
     return _body_effect("base_compliance", binding, {place: starts[place] for place in places}, "base", ("rx", "ry"))
 
@@ -46,7 +48,7 @@ def tool_compliance(binding: Binding) -> Effect:
     Args:
         binding: Robot, place ``flange`` and options.
     """
-    places = _named_places("tool_compliance", ("flange",), binding.where)
+    places = named_places("tool_compliance", ("flange",), binding.where)
     starts = dict.fromkeys(places, 6 * binding.robot.n)
     return _body_effect("tool_compliance", binding, starts, "links", ("ry", "rz"))
 
@@ -64,7 +66,8 @@ def joint_cross_compliance(binding: Binding) -> Effect:
         InputError: The robot has a single joint, or a place is no pair of its joints.
     """
     robot = binding.robot
-    pairs = [_pair(robot, place) for place in dict.fromkeys(binding.where)] or list(pairwise(range(robot.n)))
+    given = [joint_pair("joint_cross_compliance", robot, place) for place in dict.fromkeys(binding.where)]
+    pairs = given or list(pairwise(range(robot.n)))
     if not pairs:
         raise InputError(f"effect joint_cross_compliance: robot {robot.name} has one joint, a pair needs two")
     terms = tuple(_cross_term(robot, a, b) for a, b in pairs)
@@ -102,41 +105,11 @@ def _components(name: str, binding: Binding, default: tuple[str, ...]) -> tuple[
     Raises:
         InputError: It is no list of components, or there is another option.
     """
-    for key in binding.options:
-        if key != "components":
-            raise InputError(f"[model.{name}] {key}: unknown key; allowed: components")
+    check_keys(name, binding.options, "components")
     chosen = binding.options.get("components", default)
     if isinstance(chosen, list | tuple) and chosen and all(item in COMPONENTS for item in chosen):
         return tuple(item for item in COMPONENTS if item in chosen)
     raise InputError(f"[model.{name}] components = {chosen!r}: a list of {', '.join(COMPONENTS)} expected")
-
-
-def _named_places(effect: str, allowed: tuple[str, ...], where: tuple[str, ...]) -> tuple[str, ...]:
-    """Places that have names instead of numbers; all if ``where`` is empty.
-
-    Raises:
-        InputError: A place does not exist.
-    """
-    for place in where:
-        if place not in allowed:
-            raise InputError(f"effect {effect}@{place}: no such place; allowed: {', '.join(allowed)}")
-    return tuple(place for place in allowed if not where or place in where)
-
-
-def _pair(robot: Robot, place: str) -> tuple[int, int]:
-    """Joint numbers (from 0) of a place such as ``j4-j5``.
-
-    Raises:
-        InputError: It is no pair of two joints of this robot in ascending order.
-    """
-    names = [f"j{joint + 1}" for joint in range(robot.n)]
-    first, _, second = place.partition("-")
-    if first not in names or second not in names or names.index(first) >= names.index(second):
-        raise InputError(
-            f"effect joint_cross_compliance@{place}: no such place; a pair of joints of {names[0]} ... {names[-1]} "
-            "in ascending order is expected, for example j1-j2"
-        )
-    return names.index(first), names.index(second)
 
 
 def _cross_term(robot: Robot, a: int, b: int) -> Term:
