@@ -13,7 +13,7 @@ from identify.units import SI_OF
 __all__ = ["HIDDEN", "direct_effect", "turning_effect", "unknown_of"]
 
 #: Reason for a column of zeros that every effect of absolute readings has.
-HIDDEN = "or only changes between loads are used, which do not show it"
+HIDDEN = "or only changes between loads are used"
 
 _LIMIT = 10.0  # knowing a parameter worse than ten times its plausible size says nothing and bends the fit
 

@@ -25,6 +25,7 @@ from identify.units import DEG
 __all__ = ["approach_hysteresis", "transmission_error", "wrist_coupling"]
 
 _ORDERS = (1.0, 2.0)
+_WAVES = ("sin", "cos")
 _UNLIMITED = 2 * np.pi  # a joint without known limits turns this far to both sides
 _SPACING = (0.05, 180.0)  # deg
 _WRIST = 6  # arms of so many joints have a wrist of the last three
@@ -37,11 +38,13 @@ class _Curve:
     Attributes:
         joint: Its number, from 0.
         components: (k,) names of the functions.
+        zeros: (k,) where each of them is zero, in words.
         shares: ``q (C,) -> (C, k)`` the functions, rad to 1.
     """
 
     joint: int
     components: tuple[str, ...]
+    zeros: tuple[str, ...]
     shares: Callable[[Floats], Floats]
 
 
@@ -80,9 +83,10 @@ def transmission_error(binding: Binding) -> Effect:
         by_pose = np.hstack([curve.shares(q[:, curve.joint]) for curve in curves])
         return np.asarray(by_pose[scene.row_pose])
 
+    zeros = [zero for curve in curves for zero in curve.zeros]
+
     def why_zero(parameter: int) -> str:
-        where = f"joint {joint[parameter] + 1}"
-        return f"no pose of these data has {where} where this term counts, no marker moves with {where}, {HIDDEN}"
+        return f"{zeros[parameter]}, no marker moves with this joint, {HIDDEN}"
 
     return turning_effect(name, parameters, joint, shares, why_zero)
 
@@ -173,7 +177,7 @@ def _options_of(robot: Robot, joint: int, options: Mapping[str, Any]) -> Mapping
 def _curve(robot: Robot, joint: int, options: Mapping[str, Any]) -> _Curve:
     """Harmonics, free curve, or their sum."""
     orders = _orders(options) if "orders" in options or "knots_deg" not in options else ()
-    waves = tuple(f"{kind}{order:.12g}" for order in orders for kind in "sc")
+    waves = [f"{wave[0]}{order:.12g}" for order in orders for wave in _WAVES]
     knots = _knots(robot, joint, options["knots_deg"]) if "knots_deg" in options else np.zeros(1)
     free = np.delete(np.arange(len(knots)), (len(knots) - 1) // 2)
 
@@ -182,7 +186,12 @@ def _curve(robot: Robot, joint: int, options: Mapping[str, Any]) -> _Curve:
         parts = np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), -1)
         return np.hstack([parts, _hats(knots, q)[:, free]]) if len(free) else parts
 
-    return _Curve(joint, (*waves, *(f"k{index}" for index in free)), shares)
+    names = (*waves, *(f"k{index}" for index in free))
+    at_zero = [
+        f"{wave}({order:.12g} q{joint + 1}) is zero in every pose of these data" for order in orders for wave in _WAVES
+    ]
+    nowhere = (f"no pose of these data has joint {joint + 1} near {knot:.4g} deg" for knot in knots[free] / DEG)
+    return _Curve(joint, names, (*at_zero, *nowhere), shares)
 
 
 def _orders(options: Mapping[str, Any]) -> tuple[float, ...]:

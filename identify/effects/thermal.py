@@ -65,10 +65,8 @@ def thermal_growth(binding: Binding) -> Effect:
 
     def why_zero(parameter: int) -> str:
         columns = {"auto": "neither column temperature_C nor time_s", "temperature": "no column temperature_C"}
-        return (
-            f"the data have {columns.get(driver, 'no column time_s')}, the arm is as warm in every reading as at its "
-            f"reference, no marker moves with {places[parameter]}, {HIDDEN}"
-        )
+        what, place = columns.get(driver, "no column time_s"), places[parameter]
+        return f"the data have {what}, no marker moves with {place}, {HIDDEN}"
 
     return direct_effect(name, parameters, fields, why_zero)
 

@@ -184,6 +184,9 @@ def test_what_the_data_cannot_show_is_listed_with_the_reason():
     assert {"transmission_error.j1.k0", "transmission_error.j1.k7"} <= held  # no pose is beyond 103 deg
     hysteresis = next(effect for effect in model.effects if effect.name == "approach_hysteresis")
     assert "no columns approach1 ... approach6" in hysteresis.why_zero(0)
+    gears = next(effect for effect in model.effects if effect.name == "transmission_error")
+    assert gears.why_zero(0).startswith("no pose of these data has joint 1 near -360 deg")
+    assert gears.why_zero(6).startswith("no pose of these data has joint 1 near 270 deg")
     changes = identify(replace(study, reference="differences"), data)
     assert not any(name.startswith(ALL) for name in changes.parameters)
 
