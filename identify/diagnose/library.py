@@ -90,7 +90,9 @@ def tried(found: Fit, asked: tuple[Hypothesis, ...]) -> tuple[Tried, ...]:
     return tuple(Tried(h, columns[id(h.effect)][:, :, h.own], h.plausible) for h in asked)
 
 
-def hypotheses(study: Study, model: Model, found: Fit, *, without: frozenset[str] = frozenset()) -> tuple[Hypothesis, ...]:
+def hypotheses(
+    study: Study, model: Model, found: Fit, *, without: frozenset[str] = frozenset()
+) -> tuple[Hypothesis, ...]:
     """Every cause at every place that the model of a study does not hold.
 
     Args:
@@ -260,5 +262,7 @@ def finer(hypothesis: Hypothesis, study: Study, found: Fit) -> tuple[Hypothesis,
         effect = _bound(study, hypothesis.name, places, change)
         names = [parameter.name for parameter in effect.parameters]
         own = [names.index(hypothesis.effect.parameters[index].name) for index in hypothesis.own]
-        found_there.append(replace(hypothesis, options=MappingProxyType(change), effect=effect, own=frozen(own, np.int64)))
+        found_there.append(
+            replace(hypothesis, options=MappingProxyType(change), effect=effect, own=frozen(own, np.int64))
+        )
     return tuple(found_there)
