@@ -5,12 +5,13 @@ size is chosen later. `rivals` lists the handles of every kind of fault at every
 """
 
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
 from tests.blind.setting import Setting
 
-JOINTS = np.array([1.0, 1.0, 1.0, 6.0, 6.0, 6.0])  # wrist joints are that much softer
+SOFTNESS = np.array([1.0, 1.0, 1.0, 6.0, 6.0, 6.0])  # wrist joints are that much softer
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ def bump(name, index, typical):
 
 def base_handles():
     """What every study fits: six compliances, the frame, the markers."""
-    handles = [bump("compliance", j, 1e-7 * JOINTS[j]) for j in range(6)]
+    handles = [bump("compliance", j, 1e-7 * SOFTNESS[j]) for j in range(6)]
     handles += [bump("frame", k, 1e-4) for k in range(6)]
     return handles + [bump("marker", (m, k), 1e-4) for m in range(3) for k in range(3)]
 
@@ -146,8 +147,8 @@ def rivals(setting: Setting, times) -> list[tuple[str, str | None, list]]:
     found += [("transmission_error", w, [bump("eccentric", (j, *t), 1e-4) for t in turns]) for w, j in named]
     found += [("wrist_coupling", None, [bump("coupling", k, 3e-4) for k in range(3)])]
     shifts = {j: [bump("arm.shift", (j, k), 3e-4) for k in range(6)] for j in range(1, 6)}
-    found += [("geometry", f"j{j + 1}", shifts[j]) for j in shifts] + [("geometry", None, sum(shifts.values(), []))]
-    found += [("link_mass", f"link{k}", _mass_handles(world, k)) for k in range(2, 7)]
+    found += [("geometry", f"j{j + 1}", shifts[j]) for j in shifts] + [("geometry", None, [*chain(*shifts.values())])]
+    found += [("link_mass", f"link{k}", mass_handles(world, k)) for k in range(2, 7)]
     if not design.free:
         found += [("load_direction", None, [bump("gravity_tilt", k, 0.01) for k in range(2)])]
     else:
@@ -185,7 +186,7 @@ def _stuck(joint, level):
     return apply
 
 
-def _mass_handles(world, link):
+def mass_handles(world, link):
     mass = world.arm.mass[link - 1]
     return [bump("arm.mass", link - 1, 0.1 * mass)] + [bump("arm.centre", (link - 1, k), 0.03) for k in range(3)]
 

@@ -77,7 +77,8 @@ def robot_file(setting: Setting) -> str:
     arm = setting.world.arm
     text = 'name = "heavy arm"\nconvention = "chain"\nsource = "drawn for a test"\npayload_kg = 300\n'
     for j in range(6):
-        text += f'\n[[joints]]\nname = "A{j + 1}"\nxyz_mm = {_mm(arm.offset[j])}\naxis = {arm.axis[j].astype(int).tolist()}\n'
+        text += f'\n[[joints]]\nname = "A{j + 1}"\nxyz_mm = {_mm(arm.offset[j])}\n'
+        text += f"axis = {arm.axis[j].astype(int).tolist()}\n"
         text += f"lower_deg = {setting.lower[j]}\nupper_deg = {setting.upper[j]}\n"
         text += f"mass_kg = {arm.mass[j]}\ncom_mm = {_mm(arm.centre[j])}\n"
     return text + f"\n[flange]\nxyz_mm = {_mm(arm.offset[6])}\n"

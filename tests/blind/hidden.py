@@ -3,7 +3,7 @@
 import numpy as np
 
 from tests.blind import faults
-from tests.blind.faults import JOINTS, Fault, bump, spring_beside, springs, step_at, tube
+from tests.blind.faults import Fault, bump, spring_beside, springs, step_at, tube
 from tests.blind.setting import Setting
 
 
@@ -95,7 +95,7 @@ def _geometry(rng, setting, times, sign):
 
 def _mass(rng, setting, times, sign):
     link = int(rng.integers(2, 7))
-    return Fault("link_mass", f"link{link}", tuple(faults._mass_handles(setting.world, link)), _some(rng, 4), 8.0)
+    return Fault("link_mass", f"link{link}", tuple(faults.mass_handles(setting.world, link)), _some(rng, 4), 8.0)
 
 
 def _some(rng, count):

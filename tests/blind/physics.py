@@ -2,12 +2,14 @@
 
 Nothing here comes from the packages under test. Units are SI and rad. A `World` is one robot, its tracker and all its
 faults (zero by default); `respond` says what the tracker reads. Deflections are of first order: torques on the
-undeflected arm, small rotations applied by the Jacobian, as in the default model of a study (``equilibrium = "linear"``).
+undeflected arm, small rotations applied by the Jacobian, as in the default model of a study
+(``equilibrium = "linear"``).
 
 Shapes: P visits, L readings (loads) of each, N = P L shots, M markers.
 """
 
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -17,14 +19,13 @@ HOUR = 3600.0
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def zeros(*shape):
-    return field(default_factory=lambda: np.zeros(shape))
-
-
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What is set and known for every shot: q (P, 6), time, temperature (P, L), approach (P, 6), load (P, L) index of
-    its load, mass (K,), attach (K, 3) of the loads, wrench (P, L, 6) measured in the flange frame, or None, jitter (P, L, 6)."""
+    """What is set and known for every shot.
+
+    Joints q (P, 6); load (P, L), the index of its load; mass (K,) and attach (K, 3) of the loads; time and temperature
+    (P, L); approach (P, 6); wrench (P, L, 6) measured in the flange frame, or None; jitter of the joints (P, L, 6).
+    """
 
     q: np.ndarray
     load: np.ndarray
@@ -44,40 +45,48 @@ class World:
     arm: Arm
     marker: np.ndarray  # (M, 3) true positions in the flange frame
     tracker: np.ndarray  # (4, 4) tracker in the base frame
-    compliance: np.ndarray = zeros(6)  # rad/Nm
-    frame: np.ndarray = zeros(6)  # small displacement of the tracker's readings, m and rad
-    spring: np.ndarray = zeros(8, 6, 6)  # base, column, ends of links 1 ... 6; moved by a force and moment there
-    cross: np.ndarray = zeros(6, 6)  # rad/Nm between joints
-    hardening: np.ndarray = zeros(6)  # share of the compliance lost at the reference torque
-    windup: np.ndarray = zeros(6)  # rad
+    compliance: np.ndarray = field(default_factory=partial(np.zeros, 6))  # rad/Nm
+    frame: np.ndarray = field(
+        default_factory=partial(np.zeros, 6)
+    )  # small displacement of the tracker's readings, m and rad
+    spring: np.ndarray = field(
+        default_factory=partial(np.zeros, (8, 6, 6))
+    )  # base, column, ends of links 1 ... 6; moved by a force and moment there
+    cross: np.ndarray = field(default_factory=partial(np.zeros, (6, 6)))  # rad/Nm between joints
+    hardening: np.ndarray = field(
+        default_factory=partial(np.zeros, 6)
+    )  # share of the compliance lost at the reference torque
+    windup: np.ndarray = field(default_factory=partial(np.zeros, 6))  # rad
     knee: np.ndarray = field(default_factory=lambda: np.full(6, 300.0))  # Nm
-    backlash: np.ndarray = zeros(6)  # rad
-    friction: np.ndarray = zeros(6)  # Nm
+    backlash: np.ndarray = field(default_factory=partial(np.zeros, 6))  # rad
+    friction: np.ndarray = field(default_factory=partial(np.zeros, 6))  # Nm
     friction_share: np.ndarray = field(default_factory=lambda: np.ones(6))
-    hysteresis: np.ndarray = zeros(6)  # rad
-    eccentric: np.ndarray = zeros(6, 3, 2)  # rad: joint, order 1 ... 3, sine and cosine
-    coupling: np.ndarray = zeros(3)  # rad/rad: 5 -> 6, 4 -> 5, 4 -> 6
+    hysteresis: np.ndarray = field(default_factory=partial(np.zeros, 6))  # rad
+    eccentric: np.ndarray = field(
+        default_factory=partial(np.zeros, (6, 3, 2))
+    )  # rad: joint, order 1 ... 3, sine and cosine
+    coupling: np.ndarray = field(default_factory=partial(np.zeros, 3))  # rad/rad: 5 -> 6, 4 -> 5, 4 -> 6
     balance: float = 0.0  # N/m, spring beside joint 2
     balance_shape: tuple = (0.69, 0.18, 0.17, 0.45)  # distance, radius, angle, free length
-    balance_torque: np.ndarray = zeros(4)  # Nm: sin q2, cos q2, sin 2 q2, cos 2 q2
-    balance_rate: np.ndarray = zeros(2)  # share of compliance: cos q2, sin q2
-    load_shift: np.ndarray = zeros(3)  # m, flange frame
-    load_factor: np.ndarray = zeros(4)
-    gravity_tilt: np.ndarray = zeros(2)  # rad about world x and y
-    bias: np.ndarray = zeros(6)  # N, Nm: the sensor says true + bias
-    growth: np.ndarray = zeros(7)  # 1/K of each link
-    warm_angle: np.ndarray = zeros(6)  # rad/K
-    drift: np.ndarray = zeros(6)  # m/h, rad/h
-    step: np.ndarray = zeros(6)
+    balance_torque: np.ndarray = field(default_factory=partial(np.zeros, 4))  # Nm: sin q2, cos q2, sin 2 q2, cos 2 q2
+    balance_rate: np.ndarray = field(default_factory=partial(np.zeros, 2))  # share of compliance: cos q2, sin q2
+    load_shift: np.ndarray = field(default_factory=partial(np.zeros, 3))  # m, flange frame
+    load_factor: np.ndarray = field(default_factory=partial(np.zeros, 4))
+    gravity_tilt: np.ndarray = field(default_factory=partial(np.zeros, 2))  # rad about world x and y
+    bias: np.ndarray = field(default_factory=partial(np.zeros, 6))  # N, Nm: the sensor says true + bias
+    growth: np.ndarray = field(default_factory=partial(np.zeros, 7))  # 1/K of each link
+    warm_angle: np.ndarray = field(default_factory=partial(np.zeros, 6))  # rad/K
+    drift: np.ndarray = field(default_factory=partial(np.zeros, 6))  # m/h, rad/h
+    step: np.ndarray = field(default_factory=partial(np.zeros, 6))
     step_time: float = 0.0
     scale: float = 0.0
-    seating: np.ndarray = zeros(3, 3)  # m, flange frame
+    seating: np.ndarray = field(default_factory=partial(np.zeros, (3, 3)))  # m, flange frame
     hose: float = 0.0  # N/m
     hose_ends: tuple = ((-0.4, 0.25, 0.9), (0.3, 0.15, 0.2), 0.9)  # base-side point (link 1), link 4 point, free length
     ripple: float = 0.0  # compliance of joint 3 ~ sin 3 q3
     softening: float = 0.0  # compliance grows per K
     wave: float = 0.0  # rad, joint 3, by sin 2 q2 cos 3 q3
-    sway: np.ndarray = zeros(3)  # m, tracker to and fro
+    sway: np.ndarray = field(default_factory=partial(np.zeros, 3))  # m, tracker to and fro
     sway_period: float = 1500.0
 
 
@@ -94,7 +103,7 @@ def respond(world: World, given: Conditions, *, base_frame: bool = False) -> np.
     t_load = np.einsum("nji,nji->nj", frames.axis, loads)
     t_own = _own_torque(frames, carried, centres, gravity)
     turn = _joint_turns(world, q, warm, frames, t_load, t_own)
-    spots = point_of(frames.flange, world.marker + 0.0)  # (N, M, 3)
+    spots = point_of(frames.flange, world.marker)  # (N, M, 3)
     moved = np.einsum("nj,nmji->nmi", turn, cross(frames.axis[:, None], spots[:, :, None] - frames.origin[:, None]))
     moved = moved + _bending(world, frames, spots, (force, moment, point), (carried, centres, gravity))
     loaded = (given.load.ravel() > 0)[:, None, None]
