@@ -295,11 +295,17 @@ def holdout(case: Case, count: int = 25) -> tuple[str, np.ndarray, Conditions]:
     return files.plan(files.table_of(case.setting, given, true, names=names)), true, given
 
 
-def measure_more(case: Case, plan_csv: str) -> str:
-    """The text of measurements.csv with the visits of a plan file measured in addition, by the same robot."""
+def more_conditions(case: Case, plan_csv: str) -> tuple[Conditions, list[str]]:
+    """When the visits of a plan file are measured after the case, and under what conditions; their names."""
     q, load, names = spoiled.read_plan(plan_csv, case.setting.design.loads)
     rng = np.random.default_rng([case.seed, 7003, len(q)])
-    given = conditions(rng, case.setting, q, start=case.given.time.max(), load=load)
+    return conditions(rng, case.setting, q, start=case.given.time.max(), load=load), names
+
+
+def measure_more(case: Case, plan_csv: str) -> str:
+    """The text of measurements.csv with the visits of a plan file measured in addition, by the same robot."""
+    given, names = more_conditions(case, plan_csv)
+    rng = np.random.default_rng([case.seed, 7005, len(names)])
     readings = measure(rng, case.world, given, case.noise)
     more = files.table_of(case.setting, given, readings, names=[f"N{name}" for name in names])
     return files.measurements(case.table) + files.measurements(more).partition("\n")[2]
