@@ -14,7 +14,7 @@ from tests.blind import oracle, shell
 from tests.blind.cases import Case, holdout, make_case, measure_more, more_conditions, random_plan, write_case
 from tests.blind.faults import base_handles, rivals
 from tests.blind.hidden import EFFECTS
-from tests.blind.judge import judge, reported
+from tests.blind.judge import confident, judge, reported
 from tests.blind.physics import respond
 from tests.blind.spoiled import read_plan
 from tests.blind.whitening import lens_for, orthonormal
@@ -77,7 +77,15 @@ def _examined(case, folder, command, more):
         result["gain"] = held_out_ratio(case, folder, command)
     if more and _group(case) == "single" and verdict.outcome == "set" and found.get("next_poses"):
         result["more"] = extra_poses(case, folder, found, command)
+    if more and _group(case) == "single" and case.judged and case.rival[0] >= STRANGE:
+        result["robbed"] = robbed(case, folder.with_name("robbed"), command)
     return result
+
+
+def robbed(case: Case, folder: Path, command: Path) -> bool:
+    """Without its own effect in the library, the case is given another name and no doubt is left."""
+    write_case(case, folder, shell.WITHOUT.format(name=case.causes[0][0]))
+    return confident(shell.diagnose(folder, command)[0])
 
 
 def held_out_ratio(case: Case, folder: Path, command: Path) -> float:

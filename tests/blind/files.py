@@ -84,13 +84,12 @@ def robot_file(setting: Setting) -> str:
     return text + f"\n[flange]\nxyz_mm = {_mm(arm.offset[6])}\n"
 
 
-def study_file(setting: Setting, stated: Noise, extra: str = "") -> str:
+def study_file(setting: Setting, stated: Noise) -> str:
     """study.toml for these measurements.
 
     Args:
         setting: Robot, markers, loads.
         stated: The noise that the study claims.
-        extra: More lines for ``[model]``.
     """
     design, arm = setting.design, setting.world.arm
     text = '[robot]\nmodel = "robot.toml"\n'
@@ -108,7 +107,7 @@ def study_file(setting: Setting, stated: Noise, extra: str = "") -> str:
     text += f"\n[noise]\nreading_mm = {stated.reading * 1e3:.6g}\npose_jitter_urad = {stated.pose * 1e6:.6g}\n"
     text += f"reading_jitter_urad = {stated.shot * 1e6:.6g}\n"
     text += '\n[frames]\nmeasurement = "free"\nmarkers = "nominal"\n'
-    text += f'\n[model]\neffects = ["joint_compliance"]\nreference = "auto"\n{extra}'
+    text += '\n[model]\neffects = ["joint_compliance"]\nreference = "auto"\n'
     for pose in ([0, -60, 90, 0, 45, 0], [40, -45, 60, 30, 60, 20]):
         text += f"\n[[test_poses]]\njoints_deg = {pose}\nwrench = [0, 0, -1500, 0, 0, 0]\n"
     loads = [name for name, level in zip(design.loads, design.levels, strict=True) if level]

@@ -88,3 +88,9 @@ def _named(true, names, wide):
     if names - true and true <= names:
         return "extra"
     return "right" if wide == true else "set"
+
+
+def confident(found: dict) -> bool:
+    """The diagnosis names causes and leaves no doubt about them."""
+    doubt = any(cause["ambiguous_with"] for cause in found["causes"])
+    return found["verdict"] == "cause_found" and not doubt and not found["remainder"]

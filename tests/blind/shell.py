@@ -15,6 +15,7 @@ from tests.blind.setting import MARKERS
 
 ROOT = Path(__file__).parents[2]
 COMMAND = Path(sys.executable).with_name("elastocal")
+WITHOUT = '\n[diagnose]\nwithout = ["{name}"]\n'  # lines of a study that take a cause out of the library
 SLOW = 120.0  # s; a diagnosis that takes longer has failed
 
 

@@ -65,6 +65,7 @@ def rates(outcomes: list[dict]) -> list[Rate]:
     def is_(*words):
         return lambda o: o["outcome"] in words
 
+    lost = [o for o in ended if "robbed" in o]
     more = [o for o in ended if o.get("more") and o["more"]["resolvable"]]
     return [
         rate("the command ends with 0", outcomes, lambda o: "outcome" in o, 1.0, True),
@@ -84,6 +85,7 @@ def rates(outcomes: list[dict]) -> list[Rate]:
         rate("pairs both named", pairs, lambda o: o["together"], 0.9, True),
         rate("faulty pose named", faulty, lambda o: o["together"] and o["place"], 0.9, True),
         rate("held-out error within 1.3 of the oracle's", gains, lambda o: o["gain"] <= 1.3, 0.9, True),
+        rate("effect taken out of the library: confident name", lost, lambda o: o["robbed"], 0.05, False),
         rate("proposed poses resolve", more, lambda o: o["more"]["proposed"], 0.9, True),
     ]
 
@@ -123,7 +125,7 @@ def report(outcomes: list[dict], alpha: float) -> tuple[str, list[Rate]]:
         broken += [rate] if rate.broken(alpha) else []
         share = f"{rate.hits / rate.of:.3f}" if rate.of else "-"
         bounds = f"[{low:.3f}, {high:.3f}]"
-        lines.append(f"{rate.name:44}{rate.hits:>5}/{rate.of:<5}{share:>7} {bounds} {sign} {rate.limit:.2f}  {mark}")
+        lines.append(f"{rate.name:48}{rate.hits:>5}/{rate.of:<5}{share:>7} {bounds} {sign} {rate.limit:.2f}  {mark}")
     more = [o["more"] for o in outcomes if o.get("more")]
     if more:
         wins = [sum(m[key] for m in more) for key in ("proposed", "random")]
