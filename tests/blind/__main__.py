@@ -30,6 +30,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="save all outcomes here")
     parser.add_argument("--alpha", type=float, default=0.01, help="level at which a promise counts as refuted")
     parser.add_argument("--quick", action="store_true", help="no held-out errors and no extra poses")
+    parser.add_argument("--without", action="store_true", help="also with the true effect out of the library")
     parser.add_argument("--command", type=Path, default=COMMAND)
     parser.add_argument("--write", type=Path, help="write the first case into this folder, and run nothing")
     given = parser.parse_args()
@@ -40,7 +41,8 @@ def main() -> int:
         print(write_case(case, given.write), json.dumps(case.truth, default=float))
         return 0
     start, seeds = time.perf_counter(), range(seed, seed + given.cases)
-    outcomes = run_exam(seeds, given.kinds, command=given.command, more=not given.quick, options=given.options)
+    how = {"more": not given.quick, "without": given.without, "options": given.options}
+    outcomes = run_exam(seeds, given.kinds, command=given.command, **how)
     text, broken = report(outcomes, given.alpha)
     print(f"{text}\n{given.cases} cases in {time.perf_counter() - start:.0f} s, seed {seed}")
     for outcome in outcomes:

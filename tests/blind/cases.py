@@ -206,7 +206,7 @@ def _sized(rng, name, group, setting, given, lens, energy):
     """A fault and the size at which it has the wanted energy beyond the base model."""
     if energy is None:
         energy = 5.0 if group == "below" else float(np.exp(rng.uniform(*np.log(LAMBDA))))
-        if group in WIDE or (name in WIDE and rng.random() < 0.5):
+        if group in WIDE or (group == "single" and name in WIDE and rng.random() < 0.5):
             energy = float(np.exp(rng.uniform(*np.log(WIDE.get(group) or WIDE[name]))))
     best = None
     for _ in range(12):

@@ -23,7 +23,7 @@ CLEAR = 35.0  # energy beyond a rival at which the two can be told apart
 STRANGE = 250.0  # energy beyond every rival at which a stranger cannot pass for one of the library
 
 
-def run_exam(seeds, kinds=(), *, command: Path = shell.COMMAND, more: bool = True, options=None, workers: int = 2):
+def run_exam(seeds, kinds=(), *, command: Path = shell.COMMAND, more=True, without=False, options=None, workers=2):
     """Outcomes (dicts) of one case for each seed.
 
     Args:
@@ -31,25 +31,29 @@ def run_exam(seeds, kinds=(), *, command: Path = shell.COMMAND, more: bool = Tru
         kinds: Kinds, taken in turn; by the mix if empty.
         command: The executable under test.
         more: Also judge extra poses and held-out errors.
+        without: Also diagnose clear single cases with their own effect taken out of the library.
         options: Options of `make_case`.
         workers: Cases at a time.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     jobs = [(seed, kinds[k % len(kinds)] if kinds else None) for k, seed in enumerate(seeds)]
-    work = partial(_safely, command=command, more=more, options=options or {})
+    work = partial(_safely, command=command, more=more, without=without, options=options or {})
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
         return list(pool.map(work, jobs))
 
 
-def _safely(job, *, command, more, options):
+def _safely(job, *, command, more, without, options):
     """One outcome; what fails in the command is an outcome too."""
     seed, kind = job
     case = make_case(seed, kind, **options)
     head = {"seed": seed, "kind": case.kind, "group": _group(case), **_facts(case)}
     with tempfile.TemporaryDirectory() as folder:
         try:
-            return head | _examined(case, Path(folder) / "case", command, more)
+            result = _examined(case, Path(folder) / "case", command, more)
+            if without and head["group"] == "single" and case.judged and case.rival[0] >= STRANGE:
+                result["robbed"] = robbed(case, Path(folder) / "robbed", command)
+            return head | result
         except shell.Failed as error:
             return head | {"error": str(error)}
 
@@ -77,8 +81,6 @@ def _examined(case, folder, command, more):
         result["gain"] = held_out_ratio(case, folder, command)
     if more and _group(case) == "single" and verdict.outcome == "set" and found.get("next_poses"):
         result["more"] = extra_poses(case, folder, found, command)
-    if more and _group(case) == "single" and case.judged and case.rival[0] >= STRANGE:
-        result["robbed"] = robbed(case, folder.with_name("robbed"), command)
     return result
 
 

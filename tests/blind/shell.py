@@ -42,7 +42,11 @@ def diagnose(folder: Path, command: Path = COMMAND, name: str = "measurements.cs
     """diagnose.json of a case's folder, and the time it took."""
     out = folder.parent / f"{folder.name}-{Path(name).stem}-found"
     out, seconds = call("diagnose", folder / "study.toml", folder / name, out=out, command=command)
-    return json.loads((out / "diagnose.json").read_text()), seconds
+    found = json.loads((out / "diagnose.json").read_text())
+    missing = {"verdict", "causes", "remainder", "next_poses"} - set(found)
+    if missing or any({"name", "where", "ambiguous_with"} - set(cause) for cause in found.get("causes", [])):
+        raise Failed(f"diagnose.json lacks keys: {sorted(missing) or 'of causes'}")
+    return found, seconds
 
 
 def predicted(folder: Path, plan: str, shape: tuple, command: Path = COMMAND) -> np.ndarray:

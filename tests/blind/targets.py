@@ -49,6 +49,7 @@ def rates(outcomes: list[dict]) -> list[Rate]:
     ended = [o for o in outcomes if "outcome" in o]
     clean = [o for o in ended if o["group"] == "clean"]
     jitter = [o for o in ended if o["kind"] == "noise:jitter"]
+    louder = [o for o in ended if o["kind"] in {"noise:jitter", "noise:reading"}]
     noise = [o for o in ended if o["group"] == "noise" and o["kind"] != "noise:range"]
     single = [o for o in ended if o["group"] == "single" and o["judged"]]
     exact = [o for o in ended if o["group"] == "confounded"]
@@ -67,11 +68,13 @@ def rates(outcomes: list[dict]) -> list[Rate]:
 
     lost = [o for o in ended if "robbed" in o]
     more = [o for o in ended if o.get("more") and o["more"]["resolvable"]]
+    differ = [o for o in more if o["more"]["proposed"] != o["more"]["random"]]
     return [
         rate("the command ends with 0", outcomes, lambda o: "outcome" in o, 1.0, True),
         rate("clean data named", clean, is_("wrong"), 0.02, False),
         rate("clean data unexplained", clean, is_("unexplained"), 0.02, False),
         rate("jitter twice as large: named", jitter, is_("wrong"), 0.07, False),
+        rate("jitter or reading misstated: unexplained", louder, is_("unexplained"), 0.1, False),
         rate("other noise: named", noise, is_("wrong"), 0.07, False),
         rate("truth in the set where named", named, lambda o: o["together"], 0.97, True),
         rate("right and alone where resolvable", [o for o in single if o["resolvable"]], is_("right"), 0.85, True),
@@ -87,6 +90,7 @@ def rates(outcomes: list[dict]) -> list[Rate]:
         rate("held-out error within 1.3 of the oracle's", gains, lambda o: o["gain"] <= 1.3, 0.9, True),
         rate("effect taken out of the library: confident name", lost, lambda o: o["robbed"], 0.05, False),
         rate("proposed poses resolve", more, lambda o: o["more"]["proposed"], 0.9, True),
+        rate("where only one resolves, the proposed do", differ, lambda o: o["more"]["proposed"], 0.5, True),
     ]
 
 
