@@ -26,7 +26,12 @@ CONFOUNDED = {  # what is true, and what nothing in the data tells from it
 NOISES = ("jitter", "reading", "tails", "marker", "range")
 LAMBDA = (60.0, 2000.0)
 # Two causes at once and strangers must show more before they can be judged; a compensator usually is a matter of mm.
-WIDE = {"pair": (150.0, 2000.0), "outside": (400.0, 4000.0), "gravity_compensator": (2e3, 1e5)}
+WIDE = {
+    "pair": (150.0, 2000.0),
+    "outside": (400.0, 4000.0),
+    "gravity_compensator": (2e3, 1e5),
+    "outside:hose": (1.5e3, 1e4),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,8 +211,9 @@ def _sized(rng, name, group, setting, given, lens, energy):
     """A fault and the size at which it has the wanted energy beyond the base model."""
     if energy is None:
         energy = 5.0 if group == "below" else float(np.exp(rng.uniform(*np.log(LAMBDA))))
-        if group in WIDE or (group == "single" and name in WIDE and rng.random() < 0.5):
-            energy = float(np.exp(rng.uniform(*np.log(WIDE.get(group) or WIDE[name]))))
+        wide = WIDE.get(name, WIDE.get(group)) if group in {"single", "outside"} else WIDE.get(group)
+        if wide and (group != "single" or rng.random() < 0.5):
+            energy = float(np.exp(rng.uniform(*np.log(wide))))
     best = None
     for _ in range(12):
         fault = _drawn(rng, name, group, setting, given)
