@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.blind import files, hidden, spoiled
-from tests.blind.faults import Fault, base_handles, rivals
+from tests.blind import files, hidden, sizing, spoiled
+from tests.blind.faults import base_handles, rivals
 from tests.blind.physics import Conditions, World, respond
 from tests.blind.setting import Design, Noise, Setting, conditions, random_poses, random_setting
 from tests.blind.whitening import Lens, lens_for
@@ -24,14 +24,6 @@ CONFOUNDED = {  # what is true, and what nothing in the data tells from it
     "approach_hysteresis": "geometry",
 }
 NOISES = ("jitter", "reading", "tails", "marker", "range")
-LAMBDA = (60.0, 2000.0)
-# Two causes at once and strangers must show more before they can be judged; a compensator usually is a matter of mm.
-WIDE = {
-    "pair": (150.0, 2000.0),
-    "outside": (400.0, 4000.0),
-    "gravity_compensator": (2e3, 1e5),
-    "outside:hose": (1.5e3, 1e4),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +100,12 @@ def make_case(seed: int, kind: str | None = None, **options) -> Case:
     given = conditions(rng, setting, random_poses(rng, setting, design.poses))
     stated, noise = _noises(rng, setting, detail if group == "noise" else None)
     lens = lens_for(setting.world, given, noise, base_handles())
-    chosen = [_sized(rng, name, group, setting, given, lens, options.get("energy")) for name in names]
+    chosen = [sizing.sized(rng, name, group, setting, given, lens, options.get("energy")) for name in names]
     world = setting.world
     for fault, size in chosen:
         world = fault.apply(world, size)
     faults = tuple(fault for fault, _ in chosen)
-    energy = _energies(lens, setting, given, chosen)
+    energy = sizing.energies(lens, setting, given, chosen)
     readings = measure(rng, world, given, noise)
     table = files.table_of(setting, given, readings)
     causes = tuple((fault.name, fault.where) for fault in faults)
@@ -124,7 +116,7 @@ def make_case(seed: int, kind: str | None = None, **options) -> Case:
         causes = (("range_noise", None),)
         energy = (np.inf,)
     kin = (CONFOUNDED[names[0]],) if group == "confounded" else ()
-    judged = group not in {"below"} and all(value >= LAMBDA[0] * 0.9 for value in energy)
+    judged = group not in {"below"} and all(value >= sizing.LAMBDA[0] * 0.9 for value in energy)
     label = kind if ":" in kind or kind in hidden.EFFECTS else ":".join([kind, *([detail] if detail else [])])
     sizes = tuple(size for _, size in chosen)
     return Case(
@@ -205,64 +197,6 @@ def _noises(rng, setting, way):
         "range": replace(stated, law=(5e-6, 15e-6)),
     }[way]
     return stated, true
-
-
-def _sized(rng, name, group, setting, given, lens, energy):
-    """A fault and the size at which it has the wanted energy beyond the base model."""
-    if energy is None:
-        energy = 5.0 if group == "below" else float(np.exp(rng.uniform(*np.log(LAMBDA))))
-        wide = WIDE.get(name, WIDE.get(group)) if group in {"single", "outside"} else WIDE.get(group)
-        if wide and (group != "single" or rng.random() < 0.5):
-            energy = float(np.exp(rng.uniform(*np.log(wide))))
-    best = None
-    for _ in range(12):
-        fault = _drawn(rng, name, group, setting, given)
-        size, reached = _size_for(fault, lens, energy)
-        if best is None or reached > best[2]:
-            best = (fault, size, reached)
-        if reached > 0.95 * energy:
-            break
-    return best[:2]
-
-
-def _drawn(rng, name, group, setting, given):
-    """One draw; exact twins stand where they are exact."""
-    fault = hidden.draw(rng, name, setting, given.time)
-    while group == "confounded" and fault.where in {"j1", "j3", "j4", "j5", "j6"} and name == "transmission_error":
-        fault = hidden.draw(rng, name, setting, given.time)
-    return fault
-
-
-def _size_for(fault: Fault, lens: Lens, energy: float):
-    """Smallest size with this energy, by bisection on a grid; the largest plausible one if none has it."""
-    start = respond(lens.world, lens.given)
-
-    def shown(size):
-        return lens.remains(lens.whiten(respond(fault.apply(lens.world, size), lens.given) - start))
-
-    grid = fault.largest * np.geomspace(1e-4, 1.0, 9)
-    values = np.array([shown(size) for size in grid])
-    enough = np.flatnonzero(values >= energy)
-    if not len(enough):
-        top = int(np.argmax(values))
-        return float(grid[top]), values[top]
-    high = grid[enough[0]]
-    low = grid[enough[0] - 1] if enough[0] else 0.0
-    for _ in range(14):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if shown(middle) < energy else (low, middle)
-    return float(high), energy
-
-
-def _energies(lens, setting, given, chosen):
-    """Energy of each cause beyond the base model and the directions of the other causes."""
-    start = respond(setting.world, given)
-    signals = [lens.whiten(respond(fault.apply(setting.world, size), given) - start) for fault, size in chosen]
-    result = []
-    for index, signal in enumerate(signals):
-        others = [lens.columns(fault.handles) for k, (fault, _) in enumerate(chosen) if k != index]
-        result.append(lens.remains(signal, np.concatenate(others, axis=1) if others else None))
-    return tuple(result)
 
 
 def measure(rng, world, given, noise) -> np.ndarray:
