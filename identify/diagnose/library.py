@@ -90,7 +90,9 @@ def tried(found: Fit, asked: tuple[Hypothesis, ...]) -> tuple[Tried, ...]:
     return tuple(Tried(h, columns[id(h.effect)][:, :, h.own], h.plausible) for h in asked)
 
 
-def hypotheses(study: Study, model: Model, found: Fit, *, without: frozenset[str] = frozenset()) -> tuple[Hypothesis, ...]:
+def hypotheses(
+    study: Study, model: Model, found: Fit, *, without: frozenset[str] = frozenset()
+) -> tuple[Hypothesis, ...]:
     """Every cause at every place that the model of a study does not hold.
 
     Args:
@@ -221,7 +223,7 @@ def _warming(study: Study, model: Model, found: Fit) -> Variants:
         yield (), {}
     elif experiment.time is not None:
         for hours in _WARM_UP_H:
-            yield (), {"tau_h": hours}
+            yield (), {"driver": "time", "tau_h": hours}
 
 
 def _yielding(study: Study, model: Model) -> list[int]:
@@ -246,7 +248,7 @@ def finer(hypothesis: Hypothesis, study: Study, found: Fit) -> tuple[Hypothesis,
     if "knee_Nm" in options:
         changed = [{"knee_Nm": options["knee_Nm"] * factor} for factor in _FINER]
     elif "tau_h" in options:
-        changed = [{"tau_h": options["tau_h"] * factor} for factor in _FINER]
+        changed = [{**options, "tau_h": options["tau_h"] * factor} for factor in _FINER]
     elif "time_s" in options and experiment.time is not None:
         times = np.unique(experiment.time)
         middles = (times[1:] + times[:-1]) / 2
@@ -260,5 +262,7 @@ def finer(hypothesis: Hypothesis, study: Study, found: Fit) -> tuple[Hypothesis,
         effect = _bound(study, hypothesis.name, places, change)
         names = [parameter.name for parameter in effect.parameters]
         own = [names.index(hypothesis.effect.parameters[index].name) for index in hypothesis.own]
-        found_there.append(replace(hypothesis, options=MappingProxyType(change), effect=effect, own=frozen(own, np.int64)))
+        found_there.append(
+            replace(hypothesis, options=MappingProxyType(change), effect=effect, own=frozen(own, np.int64))
+        )
     return tuple(found_there)

@@ -198,9 +198,7 @@ def _polished(rules: _Rules, study: Study, found: Fit, chosen: Hypothesis, score
     return others[best] if scores[best] > score else chosen
 
 
-def _pruned(
-    rules: _Rules, study: Study, causes: tuple[Cause, ...], found: Fit
-) -> tuple[tuple[Cause, ...], Fit]:
+def _pruned(rules: _Rules, study: Study, causes: tuple[Cause, ...], found: Fit) -> tuple[tuple[Cause, ...], Fit]:
     """Leave out causes that the later ones have made superfluous."""
     for number in range(len(causes) - 1):
         rest = causes[:number] + causes[number + 1 :]
