@@ -144,7 +144,7 @@ def size_words(cause: Entry, parameter: Entry) -> str:
     if not isinstance(value, int | float) or not isinstance(typical, int | float) or typical <= 0:
         return "" if not isinstance(most, int | float) else f"plausible, at most {number(most)} {unit}"
     limit = f", plausible up to {number(most)} {unit}" if isinstance(most, int | float) else ""
-    word = "as usual" if abs(value) <= 2 * typical else "more than usual"
+    word = "no more than usual" if abs(value) <= 2 * typical else "more than usual"
     return f"{word} (typically {number(typical)} {unit}{limit})"
 
 

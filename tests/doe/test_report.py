@@ -383,3 +383,28 @@ def test_a_real_diagnosis_becomes_a_report(tmp_path):
     assert "residual vectors over the workspace" in text
     table = (tmp_path / "out" / "residuals.csv").read_text().splitlines()
     assert len(table) == len(measurements.read_text().splitlines())
+
+
+def test_every_result_of_a_folder_has_its_section(tmp_path):
+    study, measurements = arm_study(tmp_path), measured_arm(tmp_path, {}, poses=12)
+    plan, out = tmp_path / "plan.csv", tmp_path / "out"
+    for command in (
+        ["identify", study, measurements],
+        ["predict", study, out / "identify.json", plan],
+        ["reduce", study],
+    ):
+        assert run([*map(str, command), "--out", str(out), "--force"]) == 0
+    assert run(["report", str(out)]) == 0
+    text = (out / "report.html").read_text(encoding="utf-8")
+    assert Reader(text).open == []
+    for words in ("The identification", "joint_compliance.j2", "The prediction", "72 readings predicted", "Rank"):
+        assert words in text
+    assert re.findall("<h2>(The [a-z ]+)</h2>", text) == [
+        "The identification", "The prediction", "The reduction of the model"
+    ]  # fmt: skip
+
+
+def test_help_of_the_command(capsys):
+    assert run(["report", "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(option in shown for option in ("FOLDER", "--json", "--quiet", "--force"))

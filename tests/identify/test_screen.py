@@ -100,6 +100,13 @@ def test_a_spring_over_its_joint_is_a_curve():
     assert (curve.half > 0).all()
 
 
+def test_an_error_of_a_gear_is_a_curve():
+    waves = {"transmission_error.j3.s1": 80.0, "transmission_error.j3.c2": -120.0}
+    (curve,) = curves(*identified("transmission_error@j3", waves))
+    expected = 1e-6 * (80.0 * np.sin(curve.value) - 120.0 * np.cos(2 * curve.value))
+    assert np.abs(curve.turn - expected).max() < 0.02 * np.abs(expected).max()
+
+
 @pytest.mark.parametrize(
     ("entry", "values"),
     [
