@@ -10,8 +10,8 @@ import numpy as np
 from identify.diagnose.evidence import evidence
 from identify.diagnose.faults import Fault, faults, without_rows
 from identify.diagnose.gain import Gain, gain
-from identify.diagnose.gates import flip_probabilities, holm_probabilities
-from identify.diagnose.search import Cause, Search, search
+from identify.diagnose.gates import family_probabilities
+from identify.diagnose.search import Cause, Search, search, with_noise_found
 from identify.diagnose.spread import NoiseFound, RangeNoise, noise_found, range_noise
 from identify.diagnose.structure import patterns
 from identify.errors import NotIdentifiable
@@ -29,7 +29,7 @@ __all__ = ["Diagnosis", "Remainder", "Verdict", "diagnose"]
 Verdict = Literal["adequate", "cause_found", "ambiguous", "unexplained"]
 
 _REJECTED = 1e-3  # stated noise is not trusted if chi2 is this improbable
-_PATTERN: dict[str, float] = {"holm": 0.005, "flip": 0.01}
+_PATTERN = 0.005  # of unnamed patterns
 _RANGE = 1e-3
 _HALF = 0.5  # of the excess chi-square that named causes must remove
 _TOO_WIDE = 4.0  # times the stated noise: more than this is no mere misstatement
@@ -228,18 +228,16 @@ def _searched(study: Study, clean: Measurements, rules: _Rules) -> _Conclusion:
 
 def _remainder(done: Search, lack: LackOfFit, rules: _Rules) -> Remainder:
     """Is there structure that no named cause holds?"""
-    unnamed = patterns(done.last)
-    seen = evidence(done.last, unnamed)
-    if done.gate == "holm":
-        probability = holm_probabilities(np.array([seen.score(block).p_value for block in range(len(unnamed))]))
-    else:
-        probability = flip_probabilities(seen, range(len(unnamed)), rules.rng())
+    _, found = with_noise_found(done.study, done.last, done.gate)
+    unnamed = patterns(found)
+    seen = evidence(found, unnamed)
+    probability = family_probabilities(seen, done.gate, rules.rng(), np.ones(len(unnamed), dtype=bool))
     strongest = min(range(len(unnamed)), key=lambda b: (probability[b], seen.score(b).p_value))
-    present = bool(probability[strongest] < _PATTERN[done.gate])
-    if done.gate == "flip" and not present:
-        present = noise_found(done.last, done.study.noise).reading > _TOO_WIDE
-        return Remainder(lack, present, None, float(probability[strongest]))
-    return Remainder(lack, present, unnamed[strongest].depends_on if present else None, float(probability[strongest]))
+    smallest = float(probability[strongest])
+    if smallest < _PATTERN:
+        return Remainder(lack, True, unnamed[strongest].depends_on, smallest)
+    too_wide = done.gate == "flip" and noise_found(done.last, done.study.noise).reading > _TOO_WIDE
+    return Remainder(lack, too_wide, None, smallest)
 
 
 def _result(

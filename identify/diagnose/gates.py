@@ -1,8 +1,9 @@
-"""Which blocks are significant when many are tried: Holm's rule, or flips of whole visits.
+"""Which blocks are significant when many are tried: Holm's rule, and flips of whole visits.
 
-Holm (1979) needs scores whose distribution is known, that is a covariance that can be trusted. Flipping signs needs
-only visits that are independent and scores that are symmetric about zero when nothing is missing: with s_i the share
-of visit i in a block's score and g_i = +-1,
+Holm (1979) needs scores whose distribution is known, that is a covariance that can be trusted. Where the stated one
+cannot be right (gate ``flip``), its parts are estimated from the residual first, and what passes Holm's rule with them must
+also pass a test that needs no covariance at all, only visits that are independent and scores that are symmetric about
+zero when nothing is missing: with s_i the share of visit i in a block's score and g_i = +-1,
 
     T(g) = (sum g_i s_i)' (sum s_i s_i')^+ (sum g_i s_i),
 
@@ -14,13 +15,19 @@ chi-square probability.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
-from identify.arrays import Floats
+from identify.arrays import Floats, Ints
 from identify.diagnose.evidence import Evidence
 
-__all__ = ["flip_probabilities", "holm_probabilities"]
+__all__ = ["LEVELS", "Gate", "family_probabilities", "flip_probabilities", "holm_probabilities"]
+
+Gate = Literal["holm", "flip"]
+#: A block is significant if its family-wise probability is below this.
+LEVELS: dict[str, float] = {"holm": 0.01, "flip": 0.01}
+_FLIP_LEVEL = 0.05  # of the flips, among the blocks that pass Holm's rule
 
 _FLIPS = 1000
 _FLIPS_MANY = 300
@@ -38,7 +45,25 @@ def holm_probabilities(single: Floats) -> Floats:
     return found
 
 
-def flip_probabilities(evidence: Evidence, blocks: Sequence[int], rng: np.random.Generator) -> Floats:
+def family_probabilities(evidence: Evidence, gate: Gate, rng: np.random.Generator, possible: np.ndarray) -> Floats:
+    """Family-wise probability of every block, 1 for those that are out of the question.
+
+    Args:
+        evidence: The blocks beside a fit; with ``flip`` a fit with the noise as found.
+        gate: What decides.
+        rng: Random numbers of the flips.
+        possible: (m,) False for blocks that are no explanation however well they fit.
+    """
+    single = np.array([evidence.score(block).p_value for block in range(len(possible))])
+    found = np.where(possible, holm_probabilities(single), 1.0)
+    if gate == "flip":
+        passed = np.flatnonzero(found < LEVELS[gate])
+        flipped = flip_probabilities(evidence, passed, rng)
+        found[passed] = np.maximum(found[passed], flipped * LEVELS[gate] / _FLIP_LEVEL)
+    return found
+
+
+def flip_probabilities(evidence: Evidence, blocks: Sequence[int] | Ints, rng: np.random.Generator) -> Floats:
     """Family-wise probabilities of some blocks by flipping the signs of visits, (m,).
 
     Args:
@@ -52,7 +77,7 @@ def flip_probabilities(evidence: Evidence, blocks: Sequence[int], rng: np.random
     smallest = np.ones(len(flips))
     observed = np.ones(len(blocks))
     for number, block in enumerate(blocks):
-        logs = _log_probabilities(evidence, block, flips)
+        logs = _log_probabilities(evidence, int(block), flips)
         observed[number] = logs[0]
         smallest = np.minimum(smallest, logs)
     return np.array([(smallest <= value + 1e-12).mean() for value in observed])

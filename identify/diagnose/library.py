@@ -29,6 +29,7 @@ _EVERYWHERE = "all"
 _PLACE = re.compile(r"j\d+|j\d+-j\d+|link\d+|base|column|flange|all")
 _COMPONENTS = re.compile(r"\.[xyz]$")
 _BY_NAME = ("marker_seating", "load_level")  # their places are ids of the study
+_TOGETHER = ("geometry", "thermal_growth", "wrist_coupling")  # also tried at all their places at once
 _KNEES = (0.08, 0.25)  # shares of the largest torque on the joint
 _STEPS = 40  # times at which the instrument may have been knocked
 _WARM_UP_H = (0.5, 1.0, 2.0)
@@ -112,6 +113,8 @@ def hypotheses(
             for index, parameter in enumerate(effect.parameters):
                 if parameter.name not in held:
                     groups.setdefault(_place(name, parameter.name), []).append(index)
+            if name in _TOGETHER and len(groups) > 1:
+                groups[None] = [index for own in groups.values() for index in own]
             asked += [
                 Hypothesis(name, where, MappingProxyType(dict(options)), effect, frozen(own, np.int64))
                 for where, own in groups.items()
@@ -167,6 +170,12 @@ def _links(study: Study, model: Model, found: Fit) -> Variants:
     for template in (["k44", "k55", "k66"], "beam"):
         if places:
             yield places, {"template": template}
+
+
+def _masses(study: Study, model: Model, found: Fit) -> Variants:
+    """A mass at its stated centre, and one whose centre is wrong too."""
+    for components in (["mass"], ["mass", "mx", "my", "mz"]):
+        yield (), {"components": components}
 
 
 def _compensators(study: Study, model: Model, found: Fit) -> Variants:
@@ -235,6 +244,7 @@ _SPECIAL: dict[str, Callable[[Study, Model, Fit], Variants]] = {
     "gravity_compensator": _compensators,
     "joint_windup": _knees,
     "link_compliance": _links,
+    "link_mass": _masses,
     "stiction": _sticking,
     "thermal_growth": _warming,
     "tracker_step": _steps,

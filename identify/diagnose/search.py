@@ -9,30 +9,30 @@ rival unless the cause is still significant after the rival was added to the mod
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from identify.arrays import Floats
 from identify.diagnose.evidence import Evidence, evidence
-from identify.diagnose.gates import flip_probabilities, holm_probabilities
+from identify.diagnose.gates import LEVELS, Gate, family_probabilities
 from identify.diagnose.library import Hypothesis, finer, hypotheses, merged_options, tried
+from identify.diagnose.spread import noise_found, scaled
 from identify.experiment import Measurements
 from identify.fit import Fit, State, fit, start
 from identify.identification import fit_differences
 from identify.model import Model, model_of
 from identify.study import Study
 
-__all__ = ["Cause", "Gate", "Search", "fitted", "search", "with_causes"]
+__all__ = ["Cause", "Search", "fitted", "search", "with_causes", "with_noise_found"]
 
-Gate = Literal["holm", "flip"]
-
-LEVELS: dict[str, float] = {"holm": 0.01, "flip": 0.03}
 _MOST = 8  # causes
 _SHORTLIST = 16  # blocks whose leave-out error is computed
 _STILL = 1e-3  # a cause that is significant at this level beside a rival drives it out
 _WORTH = 0.01  # share of the chi-square that a cause must take off where the covariance is not trusted
-_SURE = 2.0  # standard deviations by which a size must exceed what is plausible before it is refused
+_SURE = 2.0  # standard deviations by which a size must exceed what is possible before it is refused
+_BEYOND = 10.0  # times what is plausible: a larger size is no explanation
+#: Curves that can imitate nearly anything once they may be large: beyond what is plausible they are no explanation.
+_STRICT = ("transmission_error", "approach_hysteresis")
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,15 +155,17 @@ def _named(causes: tuple[Cause, ...]) -> tuple[Hypothesis, ...]:
 
 def _next(rules: _Rules, study: Study, found: Fit) -> Cause | None:
     """The cause that enters next, None if no block passes."""
+    study, found = with_noise_found(study, found, rules.gate)
     asked = hypotheses(study, found.model, found, without=rules.without)
     seen = evidence(found, tried(found, asked))
-    probability = _probabilities(rules, seen, asked)
+    possible = np.array([_is_plausible(seen, block, hypothesis) for block, hypothesis in enumerate(asked)], dtype=bool)
+    probability = family_probabilities(seen, rules.gate, rules.rng, possible)
     passed = np.flatnonzero(probability < LEVELS[rules.gate])
     if not len(passed):
         return None
-    single = np.array([seen.score(block).p_value for block in passed])
-    value = np.array([seen.score(block).value for block in passed])
-    shortlist = passed[np.lexsort((-value, single))][:_SHORTLIST]
+    scores = [seen.score(int(block)) for block in passed]
+    order = np.lexsort(([-score.value for score in scores], [score.p_value for score in scores]))
+    shortlist = passed[order][:_SHORTLIST]
     errors = [seen.left_out(int(block)) for block in shortlist]
     best = int(shortlist[int(np.argmin(errors))])
     if rules.gate == "flip" and min(errors) > (1 - _WORTH) * seen.left_out():
@@ -171,20 +173,20 @@ def _next(rules: _Rules, study: Study, found: Fit) -> Cause | None:
     return Cause(_polished(rules, study, found, asked[best], seen.score(best).value), float(probability[best]))
 
 
-def _probabilities(rules: _Rules, seen: Evidence, asked: tuple[Hypothesis, ...]) -> Floats:
-    """Family-wise probability of every block; 1 for implausible ones."""
-    if rules.gate == "holm":
-        found = holm_probabilities(np.array([seen.score(block).p_value for block in range(len(asked))]))
-    else:
-        found = flip_probabilities(seen, range(len(asked)), rules.rng)
-    plausible = [_is_plausible(seen, block, hypothesis) for block, hypothesis in enumerate(asked)]
-    return np.where(plausible, found, 1.0)
+def with_noise_found(study: Study, found: Fit, gate: Gate) -> tuple[Study, Fit]:
+    """Study and fit with the noise as large as the residual says, where the gate does not trust the stated one."""
+    if gate == "holm":
+        return study, found
+    wider = replace(study, noise=scaled(study.noise, noise_found(found, study.noise)))
+    return wider, fitted(wider, found.data, differences=found.whitening.cancels, begin=found)
 
 
 def _is_plausible(seen: Evidence, block: int, hypothesis: Hypothesis) -> bool:
     """False if a size is surely beyond what its effect can be."""
     size, spread = seen.sizes(block)
-    return bool((np.abs(size) - _SURE * np.where(np.isfinite(spread), spread, 0.0) <= hypothesis.plausible).all())
+    beyond = 1.0 if hypothesis.name in _STRICT else _BEYOND
+    room = beyond * hypothesis.plausible + _SURE * np.where(np.isfinite(spread), spread, 0.0)
+    return bool((np.abs(size) <= room).all())
 
 
 def _polished(rules: _Rules, study: Study, found: Fit, chosen: Hypothesis, score: float) -> Hypothesis:
@@ -204,7 +206,8 @@ def _pruned(rules: _Rules, study: Study, causes: tuple[Cause, ...], found: Fit) 
         rest = causes[:number] + causes[number + 1 :]
         smaller = with_causes(study, _named(rest))
         begin = fitted(smaller, rules.data, differences=rules.differences, begin=found)
-        seen = evidence(begin, tried(begin, (causes[number].hypothesis,)))
+        _, wider = with_noise_found(smaller, begin, rules.gate)
+        seen = evidence(wider, tried(wider, (causes[number].hypothesis,)))
         if seen.score(0).p_value > _STILL:
             return rest, begin
     return causes, found
@@ -214,7 +217,8 @@ def _with_rivals(rules: _Rules, study: Study, causes: tuple[Cause, ...], number:
     """A cause with the hypotheses that explain the same beside the other causes."""
     cause = causes[number]
     rest = with_causes(study, _named(causes[:number] + causes[number + 1 :]))
-    begin = fitted(rest, rules.data, differences=rules.differences, begin=found) if causes else found
+    begin = fitted(rest, rules.data, differences=rules.differences, begin=found)
+    rest, begin = with_noise_found(rest, begin, rules.gate)
     asked = hypotheses(rest, begin.model, begin, without=rules.without)
     own = cause.hypothesis
     others = [h for h in asked if h.entry != own.entry]

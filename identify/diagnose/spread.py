@@ -17,7 +17,7 @@ from identify.fit import Fit
 from identify.noise import instrument_covariance
 from identify.study import Noise, Tracker
 
-__all__ = ["NoiseFound", "RangeNoise", "noise_found", "range_noise"]
+__all__ = ["NoiseFound", "RangeNoise", "noise_found", "range_noise", "scaled"]
 
 _STEPS = 10
 _LEAST = 1e-4  # a share of variance below this is as good as zero
@@ -67,6 +67,22 @@ def noise_found(found: Fit, noise: Noise) -> NoiseFound:
     for _ in range(_STEPS):
         share[active] = np.maximum(_scored(parts, share, lost)[active], _LEAST)
     return NoiseFound(*np.where(active, np.sqrt(share), 1.0).tolist())
+
+
+def scaled(noise: Noise, sizes: NoiseFound) -> Noise:
+    """The stated noise with its parts as large as they were found, but never smaller than stated."""
+    reading, shots, poses = (max(size, 1.0) for size in (sizes.reading, sizes.reading_jitter, sizes.pose_jitter))
+    tracker = noise.tracker
+    if tracker is not None:
+        parts = ("radial", "radial_per_m", "transverse", "transverse_per_m")
+        tracker = replace(tracker, **{part: reading * getattr(tracker, part) for part in parts})
+    return replace(
+        noise,
+        reading=reading * noise.reading,
+        tracker=tracker,
+        reading_jitter=shots * noise.reading_jitter,
+        pose_jitter=poses * noise.pose_jitter,
+    )
 
 
 def _parts(found: Fit, noise: Noise) -> list[tuple[Floats, Floats]]:

@@ -47,6 +47,9 @@ class _Curve:
     zeros: tuple[str, ...]
     shares: Callable[[Floats], Floats]
 
+_GEARS, _SMALL_GEARS = 350.0, 1000.0  # urad, largest plausible transmission error of heavy and of small arms
+_SMALL_ARM = 20.0  # kg of rated payload
+
 
 def transmission_error(binding: Binding) -> Effect:
     """Error of the gears over a turn of the joint: ``D_j e_j(q_j)``.
@@ -57,7 +60,7 @@ def transmission_error(binding: Binding) -> Effect:
     ``transmission_error.j<i>.k<index>``, urad, the error at each knot, counted from 0. Its mean would be an offset of
     the joint, which belongs to `geometry` (and to frame and markers for the outer joints); so the knot in the middle
     of the range is held at zero and has no parameter. Typical: 50 to 300 urad of one and two cycles a turn
-    (eccentricity), up to 1000 urad for small strain wave gears.
+    (eccentricity); plausible up to 350 urad, of arms that carry no more than 20 kg (strain wave gears) up to 1000 urad.
 
     Options: ``orders = [1, 2]`` (default; any positive numbers, 101 for a gear of that ratio), ``knots_deg = 2.0``
     (distance of the knots); both together add up. A table ``[model.transmission_error.j3]`` replaces both for a joint.
@@ -71,8 +74,9 @@ def transmission_error(binding: Binding) -> Effect:
     name, robot = "transmission_error", binding.robot
     joints = turning_places(name, robot, binding.where)
     curves = [_curve(robot, joint, _options_of(robot, joint, binding.options)) for joint in joints]
+    plausible = _SMALL_GEARS if robot.payload <= _SMALL_ARM else _GEARS
     parameters = tuple(
-        unknown_of(f"{name}.j{curve.joint + 1}.{c}", "urad", plausible=350.0, typical=100.0)
+        unknown_of(f"{name}.j{curve.joint + 1}.{c}", "urad", plausible=plausible, typical=100.0)
         for curve in curves
         for c in curve.components
     )

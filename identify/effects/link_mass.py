@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from identify.effects.base import Binding, Effect, Parameter
 from identify.effects.options import chosen_components
 from identify.effects.places import chain_places
 from identify.effects.through import NOTHING_YIELDS, through_effect
+from identify.errors import InputError
 from identify.robot import Robot
 
 __all__ = ["link_mass"]
@@ -33,7 +36,7 @@ def link_mass(binding: Binding) -> Effect:
     Parameters ``link_mass.link<i>``, kg, the link that joint i moves; ``link_mass.link<i>.mx, .my, .mz``, kg m.
     Typical: 5 to 20 % of the mass of the link, 50 mm of its centre (engineering experience).
 
-    Options: ``components = ["mass"]`` (default), of ``mass, mx, my, mz``.
+    Options: ``components = ["mass"]`` (default), of ``mass, mx, my, mz``; for one link in ``[model.link_mass.link3]``.
 
     Args:
         binding: Robot, places ``link1 ... link<n>`` and options.
@@ -43,8 +46,11 @@ def link_mass(binding: Binding) -> Effect:
     """
     robot = binding.robot
     links = chain_places("link_mass", "link", robot.n, binding.where, first=1)
-    components = chosen_components("link_mass", binding.options, COMPONENTS, ("mass",))
-    slots = [(link, component) for link in links for component in components]
+    tables = [f"link{link + 1}" for link in range(robot.n)]
+    common = {key: value for key, value in binding.options.items() if key not in tables}
+    standard = chosen_components("link_mass", common, COMPONENTS, ("mass",))
+    chosen = {link: _components_of(binding.options, link, standard) for link in links}
+    slots = [(link, component) for link, components in chosen.items() for component in components]
     parameters = tuple(_parameter(robot, link, component) for link, component in slots)
     link_of = np.array([link for link, _ in slots])
     component_of = np.array([COMPONENTS.index(component) for _, component in slots])
@@ -71,6 +77,19 @@ def link_mass(binding: Binding) -> Effect:
         )
 
     return through_effect("link_mass", parameters, why_zero, yields=False, adjust=adjust)
+
+
+def _components_of(options: Mapping[str, Any], link: int, standard: tuple[str, ...]) -> tuple[str, ...]:
+    """Components of one link: those of its own table, else the common ones.
+
+    Raises:
+        InputError: The table of a link is none, or its components do not exist.
+    """
+    place = f"link{link + 1}"
+    own = options.get(place, {})
+    if not isinstance(own, Mapping):
+        raise InputError(f"[model.link_mass] {place} = {own!r}: a table with components expected")
+    return chosen_components(f"link_mass.{place}", own, COMPONENTS, standard)
 
 
 def _parameter(robot: Robot, link: int, component: str) -> Parameter:

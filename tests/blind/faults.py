@@ -131,7 +131,7 @@ def rivals(setting: Setting, times) -> list[tuple[str, str | None, list]]:
     design, world = setting.design, setting.world
     c = world.compliance
     named = [(f"j{j + 1}", j) for j in range(6)]
-    found = [("link_compliance", f"link{k}", springs(k + 1, BEAM)) for k in (1, 2, 3, 4)]
+    found = [("link_compliance", f"link{k}", springs(k + 1, BEAM)) for k in (1, 2, 3, 4, 5)]
     found += [("base_compliance", w, springs(k, [(3, 3), (4, 4)])) for k, w in enumerate(("base", "column"))]
     found += [("tool_compliance", "flange", springs(7, [(4, 4), (5, 5)]))]
     pairs = [(a, a + 1) for a in range(5)]
