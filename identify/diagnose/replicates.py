@@ -49,7 +49,7 @@ class Replicates:
 
 
 def replicates(found: Fit) -> Replicates | None:
-    """Compare the residual of a fit with the scatter of replicates; None without any.
+    """Compare the residual of a fit with the scatter of replicates; None without any, or if they are mere copies.
 
     Readings count as replicates if joint values, approach, load (or measured wrench) and marker agree. What changes
     with time between two visits of one pose is scatter here.
@@ -70,7 +70,7 @@ def replicates(found: Fit) -> Replicates | None:
         basis = left[:, values > _SMALL * values.max(initial=0.0)]
         chi2 += float(residual @ residual - ((basis.T @ residual) ** 2).sum())
         dof += len(residual) - basis.shape[1]
-    if dof < 1 or found.dof <= dof or chi2 <= 0.0:
+    if dof < 1 or found.dof <= dof or chi2 <= _SMALL * found.chi2:  # copies of a reading tell nothing
         return None
     ratio = max(found.chi2 - chi2, 0.0) / (found.dof - dof) / (chi2 / dof)
     p_value = float(f.sf(ratio, found.dof - dof, dof))

@@ -66,6 +66,14 @@ def test_without_replicates_there_is_no_comparison():
     assert replicates(fitted(study, measured(study, rng), differences=False)) is None
 
 
+def test_copies_of_readings_are_no_replicates():
+    study, rng = kr270_study(), np.random.default_rng(6)
+    data = repeated(study, rng, repeats=1, again=2)
+    half = len(data.positions) // 2
+    copied = replace(data, positions=np.tile(data.positions[:half], (2, 1)))
+    assert replicates(fitted(study, copied, differences=False)) is None
+
+
 def test_other_approaches_and_wrenches_are_no_replicates():
     study, rng = kr270_study(), np.random.default_rng(7)
     data = repeated(study, rng, repeats=1, again=2)
