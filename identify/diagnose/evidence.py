@@ -225,7 +225,7 @@ def evidence(found: Fit, blocks: Sequence[Block]) -> Evidence:
     for _ in range(2):  # twice is enough (Kahan, Parlett)
         rest -= basis @ (basis.T @ rest)
     scale = np.linalg.norm(rest, axis=0)
-    scale[(scale <= _INSIDE * whole) | (scale * plausible < _INVISIBLE)] = 0.0
+    scale[(scale <= _INSIDE * whole) | (scale < _INVISIBLE / plausible)] = 0.0
     rest /= np.where(scale > 0, scale, np.inf)
     return Evidence(
         found, where, visits_of(found), basis, residual, rest, scale, rest.T @ rest, rest.T @ residual

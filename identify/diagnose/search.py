@@ -23,7 +23,7 @@ from identify.identification import fit_differences
 from identify.model import Model, model_of
 from identify.study import Study
 
-__all__ = ["Cause", "Gate", "Search", "fitted", "search", "with_causes"]
+__all__ = ["Cause", "Gate", "Search", "carried", "fitted", "search", "with_causes"]
 
 Gate = Literal["holm", "flip"]
 
@@ -98,13 +98,13 @@ def fitted(study: Study, data: Measurements, *, differences: bool, begin: Fit | 
         begin: A fit of a similar model, whose values are where the new one starts.
     """
     model = model_of(study)
-    state = start(model, data) if begin is None else _carried(begin, model, len(data.positions))
+    state = start(model, data) if begin is None else carried(begin, model, len(data.positions))
     if differences:
         return fit_differences(study, model, data, state, reweigh=False)
     return fit(model, data, study.noise, state, reweigh=False)
 
 
-def _carried(begin: Fit, model: Model, rows: int) -> State:
+def carried(begin: Fit, model: Model, rows: int) -> State:
     """The values of a fit in another model."""
     known = dict(zip(begin.model.names, begin.state.values, strict=True))
     values = np.array([known.get(p.name, p.nominal) for p in model.parameters])
@@ -198,9 +198,7 @@ def _polished(rules: _Rules, study: Study, found: Fit, chosen: Hypothesis, score
     return others[best] if scores[best] > score else chosen
 
 
-def _pruned(
-    rules: _Rules, study: Study, causes: tuple[Cause, ...], found: Fit
-) -> tuple[tuple[Cause, ...], Fit]:
+def _pruned(rules: _Rules, study: Study, causes: tuple[Cause, ...], found: Fit) -> tuple[tuple[Cause, ...], Fit]:
     """Leave out causes that the later ones have made superfluous."""
     for number in range(len(causes) - 1):
         rest = causes[:number] + causes[number + 1 :]
