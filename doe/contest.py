@@ -7,8 +7,9 @@ its fitted size, what tells them apart is
 
 the non-centrality of the chi-square by which the cause is still seen beside the rival; maximising it is T-optimality
 (Atkinson and Fedorov, Biometrika 62, 1975). Either of the two may be true: the same is asked of the rival's signal, at
-the size at which it imitates the cause best, beside the cause. Only normal matrices are needed, which add up over
-visits. Columns are projected off X over all rows beforehand, which changes no E and keeps the numbers small.
+the size at which it imitates the cause best, beside the cause, and of the rivals among each other. Only normal matrices
+are needed, which add up over visits. Columns are projected off X over all rows beforehand, which changes no E and keeps
+the numbers small.
 """
 
 from __future__ import annotations
@@ -62,45 +63,45 @@ class Contest:
         return total
 
     def energies(self, normal: Floats) -> Floats:
-        """What tells the cause from each rival.
+        """What tells each of the k + 1 hypotheses from each other one.
 
         Args:
             normal: (..., r + m, r + m) normal matrices.
 
         Returns:
-            (..., k, 2): the cause beside the rival, and the rival beside the cause.
+            (..., k + 1, k + 1): the signal of the first beside the columns of the second; infinite on the diagonal.
         """
         left = self._beyond_model(normal)
-        pairs = [
-            np.stack([_remaining(left, here, there, x[here]), _remaining(left, there, here, y[there])], axis=-1)
-            for here, there, x, y in self._pairs
-        ]
-        return np.stack(pairs, axis=-2)
-
-    def seen(self, normal: Floats) -> Floats:
-        """Energy of the cause beyond the model alone."""
-        left = self._beyond_model(normal)
-        energy: Floats = np.einsum("i,...ij,j->...", self.size, left, self.size)
+        whole = np.einsum("hi,...ij,hj->...h", self._signals, left, self._signals)
+        beside = np.stack([whole - _imitated(left, there, self._signals) for there in self.where], axis=-1)
+        every = np.arange(len(self.where))
+        beside[..., every, every] = np.inf
+        energy: Floats = np.maximum(beside, 0.0)
         return energy
 
     @cached_property
     def dofs(self) -> np.ndarray:
-        """(k, 2) directions in which each could be seen beside the other; 0 where their columns coincide."""
+        """(k + 1, k + 1) directions in which the first is seen beside the second; 0 where it lies inside it."""
         left = self._beyond_model(self.everything)
-        return np.array([[_rank(left, a, b), _rank(left, b, a)] for a, b, _, _ in self._pairs])
+        return np.array([[_rank(left, here, there) for there in self.where] for here in self.where])
 
     @cached_property
-    def _pairs(self) -> list[tuple[slice, slice, Floats, Floats]]:
-        """Columns of cause and rival, the signal of the cause, and of the rival where it imitates the cause best."""
-        left = self._beyond_model(self.measured)
-        pairs = []
-        here = self.where[0]
-        for there in self.where[1:]:
-            imitation = np.zeros_like(self.size)
+    def needed(self) -> Floats:
+        """(k + 1, k + 1) energies with which two hypotheses are told apart, whichever is true."""
+        energy = np.array([[needed_energy(max(int(dof), 1)) for dof in row] for row in self.dofs])
+        either: Floats = np.maximum(energy, energy.T)
+        return either
+
+    @cached_property
+    def _signals(self) -> Floats:
+        """(k + 1, m) sizes of the cause, and of each rival where it imitates the cause best."""
+        left, here = self._beyond_model(self.measured), self.where[0]
+        signals = np.zeros((len(self.where), len(self.size)))
+        signals[0] = self.size
+        for signal, there in zip(signals[1:], self.where[1:], strict=True):
             inverse = np.linalg.pinv(left[there, there], rcond=_FLAT, hermitian=True)
-            imitation[there] = inverse @ left[there, here] @ self.size[here]
-            pairs.append((here, there, self.size, imitation))
-        return pairs
+            signal[there] = inverse @ left[there, here] @ self.size[here]
+        return signals
 
     def _beyond_model(self, normal: Floats) -> Floats:
         """(..., m, m) normal matrix of the hypotheses' columns projected off the model."""
@@ -112,14 +113,12 @@ class Contest:
         return beyond
 
 
-def _remaining(left: Floats, here: slice, there: slice, signal: Floats) -> Floats:
-    """(...,) energy of a signal on some columns that others cannot imitate."""
-    mixed = left[..., there, here] @ signal
+def _imitated(left: Floats, there: slice, signals: Floats) -> Floats:
+    """(..., h) energy of h signals that some columns can imitate."""
+    mixed = left[..., there, :] @ signals.T
     inside = left[..., there, there] + _RIDGE * np.eye(there.stop - there.start)
-    imitated = (mixed * np.linalg.solve(inside, mixed[..., None])[..., 0]).sum(axis=-1)
-    whole = np.einsum("i,...ij,j->...", signal, left[..., here, here], signal)
-    rest: Floats = np.maximum(whole - imitated, 0.0)
-    return rest
+    energy: Floats = (mixed * np.linalg.solve(inside, mixed)).sum(axis=-2)
+    return energy
 
 
 def _rank(left: Floats, here: slice, there: slice) -> int:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doe.contest import Contest, contest, needed_energy
+from doe.contest import Contest, contest
 from doe.next_visits import named_visits, possible_visits
 from doe.remedies import remedy
 from identify.arrays import Floats, Ints
@@ -23,7 +23,7 @@ from identify.threads import one_thread
 __all__ = ["NextPoses", "Separation", "choose", "contests", "next_poses"]
 
 _MOST = 1024  # visits to choose from
-_CELLS = 2**22  # numbers in their normal matrices
+_CELLS = 2**21  # numbers in their normal matrices
 _BEST = 200  # visits that are tried together before a pair is called inseparable
 _SHORTLIST = 100  # visits that exchanges look at
 _SWEEPS = 4
@@ -108,7 +108,7 @@ def _most(found: Diagnosis, asked: tuple[Hypothesis, ...]) -> int:
 def _planned(held: tuple[Contest, ...], possible: Experiment, measured: Experiment, count: int) -> NextPoses:
     """Choose visits for the pairs that can be told apart."""
     able = separable(held)
-    if not any(map(np.any, able)):
+    if not any(pairs[0].any() for pairs in able):
         return NextPoses(None, _judged(held, able, None))
     chosen = choose(held, count, able)
     experiment = named_visits(possible, chosen, measured)
@@ -188,22 +188,25 @@ def _wanted(model: Model, differences: bool) -> np.ndarray:
 
 
 def separable(held: tuple[Contest, ...]) -> tuple[np.ndarray, ...]:
-    """For each contest (k,) True where the visits that help a pair most reach what it needs."""
+    """For each contest (k + 1, k + 1) True where the visits that help a pair most reach what it needs."""
     return tuple(_separable(one) for one in held)
 
 
 def _separable(one: Contest) -> np.ndarray:
-    alone = one.energies(one.measured + one.possible).min(axis=2)
-    reached = np.empty(alone.shape[1])
-    for pair in range(alone.shape[1]):
-        best = np.argsort(-alone[:, pair], kind="stable")[:_BEST]
-        reached[pair] = one.energies(one.measured + one.possible[best].sum(axis=0))[pair].min()
-    return np.asarray((one.dofs > 0).all(axis=1) & (reached >= _needed(one).max(axis=1)))
+    alone = _of_pairs(one.energies(one.measured + one.possible))
+    able = np.zeros(one.needed.shape, dtype=bool)
+    for first, second in zip(*np.triu_indices(len(able), 1), strict=True):
+        best = np.argsort(-alone[:, first, second], kind="stable")[:_BEST]
+        reached = _of_pairs(one.energies(one.measured + one.possible[best].sum(axis=0)))
+        able[[first, second], [second, first]] = reached[first, second] >= one.needed[first, second]
+    inside = one.dofs == 0
+    return np.asarray(able & ~inside & ~inside.T)
 
 
-def _needed(one: Contest) -> Floats:
-    """(k, 2) energies that are needed."""
-    return np.array([[needed_energy(max(int(dof), 1)) for dof in pair] for pair in one.dofs])
+def _of_pairs(energies: Floats) -> Floats:
+    """(..., k + 1, k + 1) the smaller energy of the two hypotheses of each pair."""
+    smaller: Floats = np.minimum(energies, energies.swapaxes(-1, -2))
+    return smaller
 
 
 def choose(held: tuple[Contest, ...], count: int, able: tuple[np.ndarray, ...]) -> Ints:
@@ -252,7 +255,7 @@ def _worth(held: tuple[Contest, ...], able: tuple[np.ndarray, ...], chosen: list
     for one, pairs in zip(held, able, strict=True):
         if pairs.any():
             normal = one.measured + one.possible[chosen].sum(axis=0) + one.possible[tried]
-            total -= (_needed(one)[pairs] / (1.0 + one.energies(normal)[:, pairs])).sum(axis=(1, 2))
+            total -= (one.needed[pairs] / (1.0 + one.energies(normal)[:, pairs])).sum(axis=1)
     return total
 
 
@@ -265,23 +268,22 @@ def _judged(
     """What every pair has and will have."""
     judged: list[Separation] = []
     for number, one in enumerate(held):
-        now = one.energies(one.measured).min(axis=1)
-        then = None if chosen is None else one.energies(one.measured + one.possible[chosen].sum(axis=0)).min(axis=1)
-        needed = _needed(one).max(axis=1)
+        now = _of_pairs(one.energies(one.measured))[0, 1:]
+        then = (
+            None if chosen is None else _of_pairs(one.energies(one.measured + one.possible[chosen].sum(axis=0)))[0, 1:]
+        )
         for pair, rival in enumerate(one.rivals):
-            can = None if able is None else bool(able[number][pair])
-            exact = bool((one.dofs[pair] == 0).any())
-            later = None if then is None else float(then[pair])
+            can = None if able is None else bool(able[number][0, pair + 1])
             judged.append(
                 Separation(
-                    one.cause.entry,
-                    rival.entry,
-                    float(now[pair]),
-                    later,
-                    float(needed[pair]),
-                    can,
-                    exact,
-                    remedy(one.cause.name, rival.name, bool(can)),
+                    cause=one.cause.entry,
+                    rival=rival.entry,
+                    now=float(now[pair]),
+                    then=None if then is None else float(then[pair]),
+                    needed=float(one.needed[0, pair + 1]),
+                    separable=can,
+                    exact=bool(one.dofs[0, pair + 1] == 0 or one.dofs[pair + 1, 0] == 0),
+                    advice=remedy(one.cause.name, rival.name, bool(can)),
                 )
             )
     return tuple(judged)
