@@ -19,7 +19,7 @@ import numpy as np
 from doe.feasible import FEASIBLE, Screen, count_reasons, joint_range, screen
 from identify.arrays import Floats, Ints, frozen
 from identify.errors import Infeasible, InputError
-from identify.model import model_of
+from identify.model import effects_of
 from identify.study import Study
 
 __all__ = ["Candidates", "candidates", "load_choices", "rounded", "sampled_range"]
@@ -225,7 +225,7 @@ def _search(tests: Screen, choices: Ints, ends: tuple[Floats, Floats], poses: in
 
 def _stops(study: Study) -> dict[int, Floats]:
     """Joints that stop at certain values only, because an effect of the study is defined there alone."""
-    return {joint: values for effect in model_of(study).effects for joint, values in effect.stops.items()}
+    return {joint: values for effect in effects_of(study, study.effects) for joint, values in effect.stops.items()}
 
 
 def _taken(feasible: Ints, room: int, first: bool) -> tuple[int, bool]:

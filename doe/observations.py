@@ -122,7 +122,7 @@ def target_rows(observer: Observer, known: Identifiability) -> Floats:
     if not study.test_poses:
         raise InputError(f"{study.path}: [[test_poses]] is missing; the accuracy that counts is not defined")
     rows = np.stack([_test_rows(observer, index) for index in range(len(study.test_poses))])
-    rows[:, :, model.nuisance] = 0.0
+    rows[:, :, model.nuisance | model.of_reading] = 0.0
     scale = np.abs(rows).max(initial=0.0)
     for dropped in known.dropped:
         through = rows[:, :, list(dropped.alike)] @ dropped.coefficients

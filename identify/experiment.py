@@ -38,6 +38,8 @@ class Experiment:
         approach: (V, n) sign of the last motion of each joint, or None.
         time: (R,) s, or None.
         temperature: (R,) degC, or None.
+        start: The time from which drift and warm-up count, s: by default the first reading. A part of an experiment
+            keeps that of the whole.
     """
 
     visits: tuple[str, ...]
@@ -54,6 +56,7 @@ class Experiment:
     approach: Floats | None = None
     time: Floats | None = None
     temperature: Floats | None = None
+    start: float | None = None
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -62,6 +65,13 @@ class Experiment:
         for key in ("q", "wrench", "approach", "time", "temperature"):
             if getattr(self, key) is not None:
                 object.__setattr__(self, key, frozen(getattr(self, key)))
+        if self.start is None and self.time is not None and len(self.time):
+            object.__setattr__(self, "start", float(self.time.min()))
+
+    @property
+    def elapsed(self) -> Floats | None:
+        """(R,) time since `start`, s; None where no time was noted."""
+        return None if self.time is None or self.start is None else self.time - self.start
 
     @property
     def row_visit(self) -> Ints:

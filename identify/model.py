@@ -23,6 +23,7 @@ __all__ = [
     "added_columns",
     "deflected",
     "effect_columns",
+    "effects_of",
     "model_of",
     "respond",
     "through_columns",
@@ -75,6 +76,14 @@ class Model:
         return np.array([parameter.nuisance for parameter in self.parameters], dtype=bool)
 
     @property
+    def of_reading(self) -> np.ndarray:
+        """(p,) True for parameters of effects that displace what is read and not the arm."""
+        marked = np.zeros(len(self.parameters), dtype=bool)
+        for effect, where in zip(self.effects, self.effect_slices, strict=True):
+            marked[where] = effect.of_reading
+        return marked
+
+    @property
     def effect_slices(self) -> tuple[slice, ...]:
         """Where each effect's parameters stand."""
         sizes = [len(effect.parameters) for effect in self.effects]
@@ -123,14 +132,7 @@ def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapp
         InputError: Unknown effect, place or parameter name.
     """
     names = study.effects if effects is None else effects
-    bound = bind_effects(
-        names,
-        study.robot,
-        options=study.options,
-        flange=not study.markers_fitted,
-        loads=study.loads,
-        markers=study.markers.names,
-    )
+    bound = effects_of(study, names)
     frame = _frame_parameters() if study.frame_free else ()
     markers = _marker_parameters(study) if study.markers_fitted else ()
     parameters = (*frame, *markers, *(parameter for effect in bound for parameter in effect.parameters))
@@ -139,6 +141,22 @@ def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapp
     parameters = tuple(replace(p, nominal=float(given.get(p.name, p.nominal))) for p in parameters)
     loaded = study.equilibrium == "loaded"
     return Model(study.robot, bound, parameters, len(frame), len(markers), study.robot.masses_known, loaded)
+
+
+def effects_of(study: Study, names: tuple[str, ...]) -> tuple[Effect, ...]:
+    """A list of effects, bound to what the study says.
+
+    Raises:
+        InputError: Unknown effect, place or option.
+    """
+    return bind_effects(
+        names,
+        study.robot,
+        options=study.options,
+        flange=not study.markers_fitted,
+        loads=study.loads,
+        markers=study.markers,
+    )
 
 
 def without_nuisance(model: Model) -> Model:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from identify.alignment import inverse
 from identify.arrays import Floats
+from identify.effects.thermal import REFERENCE
 from identify.errors import InputError
 from identify.experiment import Experiment
 from identify.identifiability import why_not
@@ -34,6 +35,8 @@ def identification_json(result: Identification) -> dict[str, Any]:
         "effects": list(result.study.effects),
         "reference": result.reference,
         "frames": {"base_T_measurement": _in_mm(found.state.base_T_measurement)},
+        "time_start_s": data.experiment.start,
+        "by_temperature": data.experiment.temperature is not None,
         "markers": dict(
             zip(
                 result.study.markers.names,
@@ -138,12 +141,16 @@ class Fitted:
         values: (p,) its parameters; frame values are zero, they are in the placement.
         covariance: (p, p).
         base_T_measurement: (4, 4) m.
+        start: The time from which the fit counted drift and warm-up, s; None if its readings had no times.
+        by_temperature: The fit knew temperatures, so that growth is per kelvin; None if the result does not say.
     """
 
     model: Model
     values: Floats
     covariance: Floats
     base_T_measurement: Floats
+    start: float | None = None
+    by_temperature: bool | None = None
 
 
 def load_fitted(path: str | Path, study: Study) -> Fitted:
@@ -161,6 +168,8 @@ def load_fitted(path: str | Path, study: Study) -> Fitted:
         given = np.array([float(parameter["value"]) for parameter in content["parameters"]])
         spread = np.array(content["covariance"], dtype=np.float64).reshape(len(given), len(given))
         placement = np.array(content["frames"]["base_T_measurement"], dtype=np.float64).reshape(4, 4)
+        start = None if content.get("time_start_s") is None else float(content["time_start_s"])
+        by_temperature = content.get("by_temperature")
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -178,18 +187,33 @@ def load_fitted(path: str | Path, study: Study) -> Fitted:
     covariance = np.zeros((len(values), len(values)))
     covariance[np.ix_(index, index)] = spread
     placement[:3, 3] *= MM
-    return Fitted(model, values, covariance, placement)
+    return Fitted(model, values, covariance, placement, start, by_temperature)
 
 
 def predict(fitted: Fitted, experiment: Experiment) -> tuple[Floats, Floats]:
     """Where the markers will be read and how sure that is (parameters only).
 
+    Times count from the first reading of the fit, on the same clock. Temperatures count if the fit had some; where
+    the experiment has none, the arm is then at the reference temperature.
+
     Returns:
         (R, 3) positions and (R, 3) standard deviations in the frame of the measurements, m.
     """
+    experiment = _as_in_the_fit(fitted, experiment)
     response = respond(fitted.model, experiment, fitted.values)
     back = inverse(fitted.base_T_measurement)
     position = response.position @ back[:3, :3].T + back[:3, 3]
     columns = back[:3, :3] @ response.derivative
     variance = np.einsum("rip,pq,riq->ri", columns, fitted.covariance, columns, optimize=True)
     return position, np.sqrt(np.maximum(variance, 0.0))
+
+
+def _as_in_the_fit(fitted: Fitted, experiment: Experiment) -> Experiment:
+    """The experiment with time and temperature meaning what they meant in the fit."""
+    temperature = experiment.temperature
+    if fitted.by_temperature is False:
+        temperature = None
+    elif fitted.by_temperature and temperature is None:
+        temperature = np.full(len(experiment.row_shot), REFERENCE)
+    start = experiment.start if fitted.start is None else fitted.start
+    return replace(experiment, start=start, temperature=temperature)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["DEG", "GPA", "MM", "MRAD", "SI_OF", "UM", "URAD"]
+__all__ = ["DEG", "GPA", "HOUR", "MM", "MRAD", "PPM", "SI_OF", "UM", "URAD"]
 
 MM = 1e-3
 UM = 1e-6
@@ -15,6 +15,8 @@ DEG = math.pi / 180.0
 MRAD = 1e-3
 URAD = 1e-6
 GPA = 1e9
+PPM = 1e-6
+HOUR = 3600.0
 
 #: SI value of one unit, by the unit's name as it stands in result files.
 SI_OF = {
@@ -33,4 +35,11 @@ SI_OF = {
     "um": UM,
     "urad/kNm^3": URAD / 1e9,
     "um/kN^3": UM / 1e9,
+    "mrad/rad": MRAD,
+    "ppm": PPM,
+    "ppm/K": PPM,
+    "urad/K": URAD,
+    "um/K": UM,
+    "mm/h": MM / HOUR,
+    "mrad/h": MRAD / HOUR,
 }

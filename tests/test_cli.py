@@ -21,6 +21,7 @@ from identify.effects import REGISTRY, bind_effects
 from identify.loads import LoadCase
 from identify.robot_files import load_robot
 from tests.doe.study_files import ARM, KR270, merged
+from tests.identify.studies import PLATE
 
 ROOT = Path(__file__).parents[1]
 COMMANDS = ("plan", "evaluate", "simulate", "identify", "predict")
@@ -656,11 +657,14 @@ def test_the_table_of_parameters_names_every_pattern_with_its_unit():
     springs = {"a_x_mm": 600.0, "a_y_mm": 100.0, "radius_mm": 180.0, "fit_geometry": True}
     modes = ({"levels_deg": [-100.0, -50.0, 0.0]}, springs, {"mode": "harmonics"})
     common = {"joint_windup": {"fit_knee": True}, "link_mass": {"components": ["mass", "mx", "my", "mz"]}}
+    common |= {"transmission_error": {"orders": [1, 101], "knots_deg": 90.0}, "tracker_step": {"time_s": 5400.0}}
     chosen = [(name, common) for name in REGISTRY if name != "gravity_compensator"]
     chosen += [("gravity_compensator", {"gravity_compensator": mode}) for mode in modes]
     robot, loads = load_robot("ur10"), (LoadCase("L1", mass=5.0),)
     for name, options in chosen:
-        *_, effect = bind_effects(("joint_compliance", name), robot, options=options, flange=True, loads=loads)
+        *_, effect = bind_effects(
+            ("joint_compliance", name), robot, options=options, flange=True, loads=loads, markers=PLATE
+        )
         assert effect.parameters
         for parameter in effect.parameters:
             units = [unit for pattern, unit in table if re.fullmatch(pattern, parameter.name)]

@@ -75,18 +75,16 @@ def _parameters(found: Diagnosis, own: Hypothesis) -> list[dict[str, Any]]:
         position = result.model.names.index(parameter.name)
         value, std = float(result.values[position]), float(np.sqrt(result.covariance[position, position]))
         half = result.quantile * std
-        listed.append(
-            {
-                "name": parameter.name,
-                "value": value,
-                "unit": parameter.unit,
-                "std": std,
-                "ci95": [value - half, value + half],
-                "typical": parameter.typical,
-                "plausible_up_to": parameter.plausible,
-                "plausible": bool(abs(value) <= parameter.plausible),
-            }
-        )
+        listed.append({
+            "name": parameter.name,
+            "value": value,
+            "unit": parameter.unit,
+            "std": std,
+            "ci95": [value - half, value + half],
+            "typical": parameter.typical,
+            "plausible_up_to": parameter.plausible,
+            "plausible": bool(abs(value) <= parameter.plausible),
+        })
     return listed
 
 

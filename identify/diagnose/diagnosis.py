@@ -222,9 +222,7 @@ def _concluded(study: Study, clean: Measurements, rules: _Rules) -> _Conclusion:
 
 def _searched(study: Study, clean: Measurements, rules: _Rules) -> _Conclusion:
     """A search with the gate that the data allow, and what it leaves."""
-    trusting = search(
-        study, clean, gate="holm", differences=rules.differences, rng=rules.rng(), without=rules.without
-    )
+    trusting = search(study, clean, gate="holm", differences=rules.differences, rng=rules.rng(), without=rules.without)
     lack = lack_of_fit(trusting.last, np.zeros(0, dtype=np.int64))
     if lack.p_value >= _REJECTED:
         return _Conclusion(trusting, _remainder(trusting, lack, rules))
@@ -305,4 +303,3 @@ def _notes(done: Search) -> tuple[str, ...]:
         "the stated noise contradicts the readings even with the extended model: significance by flipping the signs "
         "of whole poses, which needs no stated noise",
     )
-

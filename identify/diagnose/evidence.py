@@ -10,6 +10,7 @@ and all that is needed for any union of hypotheses are the products Z'Z and Z'r 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -196,7 +197,7 @@ class Evidence:
         return tuple(np.eye(part.shape[1]) - part @ part.swapaxes(1, 2) for part in parts)
 
     def outside(self) -> Floats:
-        """Chi-square of each visit judged by all others, by its number in the experiment: ``r_i'(I - H_i)^-1 r_i / k``."""
+        """Chi-square per row of each visit judged by all others, by number: ``r_i'(I - H_i)^-1 r_i / k``."""
         found = np.zeros(len(self.found.data.experiment.visits))
         for index, names, left in zip(self.visits.index, self.visits.names, self._left, strict=True):
             part = self.residual[index][..., None]
@@ -216,7 +217,7 @@ def evidence(found: Fit, blocks: Sequence[Block]) -> Evidence:
     basis = np.linalg.qr(columns / np.linalg.norm(columns, axis=0))[0] if columns.shape[1] else columns
     residual = found.whitened - basis @ (basis.T @ found.whitened)
     ends = np.cumsum([0, *(block.columns.shape[2] for block in blocks)])
-    where = tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+    where = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
     rest = np.empty((len(residual), int(ends[-1])))
     plausible = np.concatenate([block.plausible for block in blocks]) if blocks else np.zeros(0)
     for block, place in zip(blocks, where, strict=True):
@@ -227,6 +228,4 @@ def evidence(found: Fit, blocks: Sequence[Block]) -> Evidence:
     scale = np.linalg.norm(rest, axis=0)
     scale[(scale <= _INSIDE * whole) | (scale < _INVISIBLE / plausible)] = 0.0
     rest /= np.where(scale > 0, scale, np.inf)
-    return Evidence(
-        found, where, visits_of(found), basis, residual, rest, scale, rest.T @ rest, rest.T @ residual
-    )
+    return Evidence(found, where, visits_of(found), basis, residual, rest, scale, rest.T @ rest, rest.T @ residual)

@@ -72,9 +72,11 @@ def gain(study: Study, done: Search, *, differences: bool, rng: np.random.Genera
         )
         rows = rows_of_visits(data.experiment, marked)
         before, after = (misfit_of(data, _residual(model, data), reference, rows) for model in (begin, trained.last))
-        squares.append(
-            ((before.error**2).sum(axis=1), (after.error**2).sum(axis=1), data.experiment.row_visit[before.rows])
-        )
+        squares.append((
+            (before.error**2).sum(axis=1),
+            (after.error**2).sum(axis=1),
+            data.experiment.row_visit[before.rows],
+        ))
     errors = [np.concatenate(parts) for parts in zip(*squares, strict=True)]
     return _judged(errors[0], errors[1], errors[2], _noise_rms(done.last, study.noise, reference), rng)
 

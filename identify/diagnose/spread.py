@@ -136,4 +136,3 @@ def range_noise(found: Fit, noise: Noise) -> RangeNoise | None:
     constant = float(max(low - slope * mean.min(), 0.0))
     tracker = Tracker(radial=constant, radial_per_m=slope, transverse=constant, transverse_per_m=slope)
     return RangeNoise(float(line.pvalue), replace(noise, tracker=tracker, reading=0.0))
-

@@ -9,12 +9,15 @@ from identify.effects.base import Binding, Effect, Fields, Parameter, Scene, Spr
 from identify.effects.compensator import gravity_compensator
 from identify.effects.compliance import joint_compliance, link_compliance
 from identify.effects.geometry import geometry
+from identify.effects.instrument import marker_seating, tracker_drift, tracker_scale, tracker_step
+from identify.effects.joint_errors import approach_hysteresis, transmission_error, wrist_coupling
 from identify.effects.link_mass import link_mass
 from identify.effects.loading import force_sensor_bias, load_com, load_direction, load_level, load_scale
 from identify.effects.nonlinear import backlash, joint_hardening, joint_windup, stiction
 from identify.effects.special_compliance import base_compliance, joint_cross_compliance, tool_compliance
+from identify.effects.thermal import thermal_growth
 from identify.errors import InputError
-from identify.loads import LoadCase
+from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 
 __all__ = ["REGISTRY", "Binding", "Effect", "Fields", "Parameter", "Scene", "SpringSet", "bind_effects", "build_scene"]
@@ -22,6 +25,7 @@ __all__ = ["REGISTRY", "Binding", "Effect", "Fields", "Parameter", "Scene", "Spr
 #: Name of an effect -> how it is bound to a robot.
 REGISTRY: dict[str, Callable[[Binding], Effect]] = {
     "backlash": backlash,
+    "approach_hysteresis": approach_hysteresis,
     "base_compliance": base_compliance,
     "force_sensor_bias": force_sensor_bias,
     "geometry": geometry,
@@ -37,7 +41,14 @@ REGISTRY: dict[str, Callable[[Binding], Effect]] = {
     "load_level": load_level,
     "load_scale": load_scale,
     "stiction": stiction,
+    "marker_seating": marker_seating,
+    "thermal_growth": thermal_growth,
     "tool_compliance": tool_compliance,
+    "tracker_drift": tracker_drift,
+    "tracker_scale": tracker_scale,
+    "tracker_step": tracker_step,
+    "transmission_error": transmission_error,
+    "wrist_coupling": wrist_coupling,
 }
 #: Effects that borrow parameters of others, and therefore are bound after them.
 BORROWERS = ("gravity_compensator", "stiction")
@@ -50,7 +61,7 @@ def bind_effects(
     options: Mapping[str, Mapping[str, Any]] | None = None,
     flange: bool = False,
     loads: tuple[LoadCase, ...] = (),
-    markers: tuple[str, ...] = (),
+    markers: Markers | None = None,
 ) -> tuple[Effect, ...]:
     """Bind a study's list of effects to a robot; entries ``name`` or ``name@where``.
 
@@ -60,7 +71,7 @@ def bind_effects(
         options: Options by effect name.
         flange: The flange has geometric errors of its own (marker positions are exact).
         loads: The load cases of the study.
-        markers: The names of its markers, flange markers first.
+        markers: Its markers.
 
     Raises:
         InputError: An effect that does not exist, a place it cannot have, or a wrong option.
@@ -76,5 +87,7 @@ def bind_effects(
     for name in sorted(places, key=lambda name: name in BORROWERS):
         chosen = () if "" in places[name] else tuple(places[name])
         others = tuple(bound.values())
-        bound[name] = REGISTRY[name](Binding(robot, chosen, given.get(name, {}), flange, others, loads, markers))
+        bound[name] = REGISTRY[name](
+            Binding(robot, chosen, given.get(name, {}), flange, others, loads=loads, markers=markers)
+        )
     return tuple(bound[name] for name in places)

@@ -18,7 +18,7 @@ import numpy as np
 from identify.arrays import Floats
 from identify.experiment import Experiment
 from identify.kinematics import Frames
-from identify.loads import LoadCase
+from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 from identify.springs import Springs, base_springs, joint_springs, link_springs, load_torque, motion, self_weight_torque
 
@@ -75,7 +75,7 @@ class Binding:
         flange: The flange has geometric errors of its own (marker positions are exact).
         others: The other effects of the model, for effects that lean on their parameters.
         loads: The load cases of the study.
-        markers: The names of its markers, flange markers first.
+        markers: The markers of the study.
     """
 
     robot: Robot
@@ -84,7 +84,7 @@ class Binding:
     flange: bool = False
     others: tuple[Effect, ...] = ()
     loads: tuple[LoadCase, ...] = ()
-    markers: tuple[str, ...] = ()
+    markers: Markers | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +176,8 @@ class Effect:
             values of the b borrowed ones.
         derivative: ``(scene, values) -> (R, 3, p + b)`` m per unit; the last b add to the columns of their owners.
         yields: True if it answers to loads (only then do differences between loads show it).
+        of_reading: True if it displaces what is read and not the arm (instrument, reflectors): of no concern to the
+            accuracy of a robot that is compensated.
         adjust: ``(robot, values) -> robot`` for effects that change the robot itself.
         reload: ``(experiment, values) -> experiment`` for effects that change what acts on the arm.
         through: True if it moves markers only through springs that other effects bring (a wrong mass, a wrong load):
@@ -194,6 +196,7 @@ class Effect:
     derivative: Displacement
     why_zero: Callable[[int], str]
     yields: bool = True
+    of_reading: bool = False
     adjust: Callable[[Robot, Floats], Robot] | None = None
     reload: Callable[[Experiment, Floats], Experiment] | None = None
     through: bool = False

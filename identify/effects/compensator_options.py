@@ -26,6 +26,7 @@ import numpy as np
 
 from identify.arrays import Floats
 from identify.effects.joint_turns import joint_options
+from identify.effects.options import is_number
 from identify.errors import InputError
 from identify.gravity_spring import SpringGeometry
 from identify.units import DEG, MM
@@ -109,14 +110,14 @@ def read_levels(options: Mapping[str, Any]) -> tuple[Floats, float]:
         InputError: No list of two or more different numbers, or a tolerance that is not positive.
     """
     given = options.get("levels_deg")
-    listed = isinstance(given, list | tuple) and all(_is_number(value) for value in given)
+    listed = isinstance(given, list | tuple) and all(is_number(value) for value in given)
     if not listed or len(set(given or ())) < max(2, len(given or ())):
         raise InputError(
             f"{_HEADING} levels_deg = {given!r}: two or more different values of the joint expected, for example "
             "[-100, -50, -5]; one level is joint_compliance itself"
         )
     tolerance = options.get("tolerance_deg", np.inf)
-    if not _is_number(tolerance) or tolerance <= 0:
+    if not is_number(tolerance) or tolerance <= 0:
         raise InputError(f"{_HEADING} tolerance_deg = {tolerance!r}: a number above 0 expected")
     return np.array(given, dtype=np.float64) * DEG, float(tolerance) * DEG
 
@@ -164,10 +165,6 @@ def _length(table: Mapping[str, Any], key: str, heading: str) -> float:
     if key not in table:
         raise InputError(f"{heading} {key} is missing; a spring needs a_x_mm, a_y_mm and radius_mm")
     value = table[key]
-    if not _is_number(value):
+    if not is_number(value):
         raise InputError(f"{heading} {key} = {value!r}: a number (mm) expected")
     return float(value) * MM
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)

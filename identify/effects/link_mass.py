@@ -43,7 +43,7 @@ def link_mass(binding: Binding) -> Effect:
     """
     robot = binding.robot
     links = chain_places("link_mass", "link", robot.n, binding.where, first=1)
-    components = chosen_components("link_mass", binding, COMPONENTS, ("mass",))
+    components = chosen_components("link_mass", binding.options, COMPONENTS, ("mass",))
     slots = [(link, component) for link in links for component in components]
     parameters = tuple(_parameter(robot, link, component) for link, component in slots)
     link_of = np.array([link for link, _ in slots])

@@ -17,7 +17,7 @@ import numpy as np
 
 from identify.arrays import Floats, rotation_of
 from identify.effects.base import Binding, Effect, Parameter
-from identify.effects.options import check_options
+from identify.effects.options import check_keys
 from identify.effects.places import named_places
 from identify.effects.through import NOTHING_YIELDS, through_effect
 from identify.errors import InputError
@@ -71,7 +71,7 @@ def load_level(binding: Binding) -> Effect:
     Raises:
         InputError: The study has no loads or not this one, or an option is given.
     """
-    check_options("load_level", binding)
+    check_keys("load_level", binding.options)
     names = tuple(load.name for load in binding.loads)
     if not names:
         raise InputError("effect load_level: the study has no loads whose size could be wrong; add [[loads]]")
@@ -103,7 +103,7 @@ def load_scale(binding: Binding) -> Effect:
     Raises:
         InputError: Another place or an option is given.
     """
-    check_options("load_scale", binding)
+    check_keys("load_scale", binding.options)
     named_places("load_scale", ("all",), binding.where)
 
     def reload(experiment: Experiment, values: Floats) -> Experiment:
@@ -178,7 +178,7 @@ def force_sensor_bias(binding: Binding) -> Effect:
 
 def _plain(name: str, binding: Binding, places: tuple[str, ...]) -> None:
     """Refuse places and options."""
-    check_options(name, binding)
+    check_keys(name, binding.options)
     named_places(name, places, binding.where)
 
 

@@ -1,35 +1,57 @@
-"""Reading of the tables ``[model.<effect>]`` that several effects have in common."""
+"""Reading of option tables ``[model.<effect>]``."""
 
 from __future__ import annotations
 
-from identify.effects.base import Binding
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
 from identify.errors import InputError
 
-__all__ = ["check_options", "chosen_components"]
+__all__ = ["check_keys", "chosen_components", "is_number", "number"]
 
 
-def check_options(name: str, binding: Binding, allowed: tuple[str, ...] = ()) -> None:
-    """Refuse options that an effect does not have.
+def check_keys(effect: str, options: Mapping[str, Any], *allowed: str) -> None:
+    """Refuse options that nobody would read.
 
     Raises:
-        InputError: A key that is not ``allowed``.
+        InputError: A key that is not among the allowed ones.
     """
-    for key in binding.options:
+    for key in options:
         if key not in allowed:
             known = f"allowed: {', '.join(allowed)}" if allowed else "this effect has no options"
-            raise InputError(f"[model.{name}] {key}: unknown key; {known}")
+            raise InputError(f"[model.{effect}] {key}: unknown key; {known}")
+
+
+def number(effect: str, options: Mapping[str, Any], key: str, default: float, *, least: float = -np.inf) -> float:
+    """A number among the options.
+
+    Raises:
+        InputError: It is no number, or not above ``least``.
+    """
+    value = options.get(key, default)
+    if not is_number(value) or not least < value < np.inf:
+        bound = f" above {least:g}" if np.isfinite(least) else ""
+        raise InputError(f"[model.{effect}] {key} = {value!r}: a finite number{bound} expected")
+    return float(value)
+
+
+def is_number(value: object) -> bool:
+    """True for a number that is not nan (true and false are none)."""
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)
 
 
 def chosen_components(
-    name: str, binding: Binding, allowed: tuple[str, ...], default: tuple[str, ...]
+    effect: str, options: Mapping[str, Any], allowed: tuple[str, ...], default: tuple[str, ...]
 ) -> tuple[str, ...]:
     """The option ``components``, the only one of the effect, in the order of ``allowed``.
 
     Raises:
         InputError: It is no list of components, or there is another option.
     """
-    check_options(name, binding, ("components",))
-    chosen = binding.options.get("components", default)
+    check_keys(effect, options, "components")
+    chosen = options.get("components", default)
     if isinstance(chosen, list | tuple) and chosen and all(item in allowed for item in chosen):
         return tuple(item for item in allowed if item in chosen)
-    raise InputError(f"[model.{name}] components = {chosen!r}: a list of {', '.join(allowed)} expected")
+    raise InputError(f"[model.{effect}] components = {chosen!r}: a list of {', '.join(allowed)} expected")

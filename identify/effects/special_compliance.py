@@ -11,7 +11,7 @@ from itertools import pairwise
 from identify.effects.base import Binding, Effect, SpringSet, Term
 from identify.effects.compliance import spring_effect
 from identify.effects.options import chosen_components
-from identify.effects.places import named_places
+from identify.effects.places import joint_pair, named_places
 from identify.errors import InputError
 from identify.robot import Robot
 
@@ -70,7 +70,8 @@ def joint_cross_compliance(binding: Binding) -> Effect:
         InputError: The robot has a single joint, or a place is no pair of its joints.
     """
     robot = binding.robot
-    pairs = [_pair(robot, place) for place in dict.fromkeys(binding.where)] or list(pairwise(range(robot.n)))
+    given = [joint_pair("joint_cross_compliance", robot, place) for place in dict.fromkeys(binding.where)]
+    pairs = given or list(pairwise(range(robot.n)))
     if not pairs:
         raise InputError(f"effect joint_cross_compliance: robot {robot.name} has one joint, a pair needs two")
     terms = tuple(_cross_term(robot, a, b) for a, b in pairs)
@@ -91,7 +92,7 @@ def _body_effect(
     sizes: dict[str, tuple[float, float]],
 ) -> Effect:
     """Springs on the diagonal of some 6x6 compliances, each of which begins at ``starts[place]``."""
-    components = chosen_components(name, binding, COMPONENTS, default)
+    components = chosen_components(name, binding.options, COMPONENTS, default)
     terms = []
     for place, start in starts.items():
         for component in components:
@@ -105,22 +106,6 @@ def _body_effect(
         return f"no load in these data {what}, or no marker answers to it"
 
     return spring_effect(name, tuple(terms), springs, why_zero, sizes)
-
-
-def _pair(robot: Robot, place: str) -> tuple[int, int]:
-    """Joint numbers (from 0) of a place such as ``j4-j5``.
-
-    Raises:
-        InputError: It is no pair of two joints of this robot in ascending order.
-    """
-    names = [f"j{joint + 1}" for joint in range(robot.n)]
-    first, _, second = place.partition("-")
-    if first not in names or second not in names or names.index(first) >= names.index(second):
-        raise InputError(
-            f"effect joint_cross_compliance@{place}: no such place; a pair of joints of {names[0]} ... {names[-1]} "
-            "in ascending order is expected, for example j1-j2"
-        )
-    return names.index(first), names.index(second)
 
 
 def _cross_term(robot: Robot, a: int, b: int) -> Term:
