@@ -16,11 +16,12 @@ export XDG_CACHE_HOME = $(CURDIR)/$(VENV)/cache
 STUDY := configs/studies/kr270.toml
 OUT := out/demo
 
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test exam lint bench clean
 
 help:
 	@echo "make demo   the main job: plan, simulate, identify, predict"
 	@echo "make test   all tests"
+	@echo "make exam   several hundred blind diagnoses; fresh seed, or EXAM='--seed 1 --cases 100'"
 	@echo "make lint   style, types, import contract"
 	@echo "make bench  the measured numbers of docs/benchmarks.md"
 
@@ -40,6 +41,9 @@ demo: $(STAMP)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -p no:cacheprovider
+
+exam: $(STAMP)
+	$(BIN)/python -m tests.blind --cases 400 $(EXAM)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -30,7 +30,7 @@ OUTLYING = 7.0  # P(chi(3) > 7) = 1.3e-10; model errors of real robots reach 6 r
 _MEDIAN_CHI2_3 = 2.365974
 _STEP = 1e-8  # converged when no step moves the fit by more than this many sigmas
 _NEARLY = 1e-4  # good enough where rounding does not let it come closer
-_CORNER = 1e-2  # sigmas: where no longer step descends, and less than one is left to gain, is an edge
+_CORNER = 1e-2  # sigmas: where only damped steps as short as this descend, and less than one is left to gain
 _FIRST_STEPS = 3  # before rows are judged anew
 _MAX_STEPS = 60
 _MAX_REWEIGHTS = 50
@@ -216,12 +216,14 @@ def _gauss_newton(problem: _Problem, current: Fit, steps: int) -> Fit:
         if size < _STEP * spread:
             return current
         trial = _evaluate(problem, _moved(current, step), current.identifiability)
-        if _chi2_seen_from(current, trial) < current.chi2 * (1.0 + _ROUNDING):
+        descends = _chi2_seen_from(current, trial) < current.chi2 * (1.0 + _ROUNDING)
+        short = bool(damping) and np.linalg.norm(current.columns @ step) < _CORNER * spread
+        if size < spread and short:
+            return trial if descends else current  # along an edge (friction) each side points across it to the other
+        if descends:
             current, damping = trial, damping / 100 if damping > 1e-8 else 0.0
         elif size**2 < 10 * _ROUNDING * current.chi2:
             return current  # what is left to gain is lost in rounding
-        elif size < spread and np.linalg.norm(current.columns @ step) < _CORNER * spread:
-            return current  # in a corner of the sum of squares (friction) each side points to the other
         else:
             damping = max(100 * damping, 1e-10)
     if size < _NEARLY * spread or steps < _MAX_STEPS:

@@ -238,7 +238,7 @@ def _warming(study: Study, model: Model, found: Fit) -> Variants:
         yield (), {}
     elif experiment.time is not None:
         for hours in _WARM_UP_H:
-            yield (), {"tau_h": hours}
+            yield (), {"driver": "time", "tau_h": hours}
 
 
 def _yielding(study: Study, model: Model) -> list[int]:
@@ -263,7 +263,7 @@ def finer(hypothesis: Hypothesis, study: Study, found: Fit) -> tuple[Hypothesis,
     if "knee_Nm" in options:
         changed = [{"knee_Nm": options["knee_Nm"] * factor} for factor in _FINER]
     elif "tau_h" in options:
-        changed = [{"tau_h": options["tau_h"] * factor} for factor in _FINER]
+        changed = [{**options, "tau_h": options["tau_h"] * factor} for factor in _FINER]
     elif "time_s" in options and experiment.time is not None:
         times = np.unique(experiment.time)
         middles = (times[1:] + times[:-1]) / 2

@@ -51,7 +51,6 @@ __all__ = ["gravity_compensator", "nearest_level"]
 
 NAME = "gravity_compensator"
 SPRING_LIMIT = {"N/mm": 1e4, "N": 1e7, "mm": 1e3}  # some ten times a heavy robot's spring
-TORQUE_LIMIT = 1e6  # Nm
 PLAUSIBLE_TORQUE, TYPICAL_TORQUE = 2e4, 1e3  # Nm: the largest arms hold some 20 kNm in joint 2
 
 #: ``(torque (S,), q (S,), values) -> (angle (S,), slopes (S, p + b))``, Nm and rad, slopes per unit.
@@ -238,7 +237,7 @@ def _harmonics(binding: Binding, joint: int, options: Mapping[str, Any]) -> Join
             f"{NAME}.j{joint + 1}.{kind}{order}",
             "Nm",
             SI_OF["Nm"],
-            limit=TORQUE_LIMIT,
+            limit=PLAUSIBLE_TORQUE,
             plausible=PLAUSIBLE_TORQUE,
             typical=TYPICAL_TORQUE,
         )

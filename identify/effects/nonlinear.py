@@ -40,8 +40,7 @@ __all__ = ["backlash", "joint_hardening", "joint_windup", "stiction"]
 
 _ANGLE, _TORQUE = ("urad", "um"), ("Nm", "N")  # of turning, of sliding joints
 _HARDENING = ("urad/kNm^3", "um/kN^3")
-_ANGLE_LIMIT, _TORQUE_LIMIT = 1e5, 1e6  # a fit that knows no better has no say
-_PLAUSIBLE_ANGLE = 600.0  # urad: two arcmin, twice the play in gear catalogues
+_PLAUSIBLE_ANGLE = 600.0  # urad: two arcmin, twice the play in gear catalogues; knowing it worse says nothing
 _KNEE_SHARE = 0.1  # of the rated torque
 _KNEE_UNKNOWN = 100.0  # Nm or N
 _STICTION_SHARE, _STICTION_UNKNOWN = 0.1, 1000.0  # of the rated torque; Nm or N
@@ -162,7 +161,7 @@ def stiction(binding: Binding) -> Effect:
         weights, effort = np.array(list(shares.values())), float(robot.efforts[joint])
         plausible = _STICTION_SHARE * effort if math.isfinite(effort) else _STICTION_UNKNOWN
         parameter = _parameter(
-            robot, joint, f"{name}.j{joint + 1}", _TORQUE, limit=_TORQUE_LIMIT, plausible=plausible,
+            robot, joint, f"{name}.j{joint + 1}", _TORQUE, limit=plausible, plausible=plausible,
             typical=0.025 * effort,
         )  # fmt: skip
 
@@ -221,7 +220,7 @@ def _parameter(
 
 def _play(robot: Robot, joint: int, name: str, *, typical: float) -> Parameter:
     """Half of a lost motion."""
-    return _parameter(robot, joint, name, _ANGLE, limit=_ANGLE_LIMIT, plausible=_PLAUSIBLE_ANGLE, typical=typical)
+    return _parameter(robot, joint, name, _ANGLE, limit=_PLAUSIBLE_ANGLE, plausible=_PLAUSIBLE_ANGLE, typical=typical)
 
 
 def _clean(torque: Floats) -> Floats:
