@@ -88,9 +88,9 @@ def _compliant(study: Study) -> Study:
         for effect in model_of(study).effects
         if effect.name == "joint_compliance"
         for parameter in effect.parameters
-        if parameter.nominal == 0.0 and parameter.unit == "urad/Nm"
+        if parameter.unit == "urad/Nm"
     }
-    return replace(study, nominal={**study.nominal, **usual})
+    return replace(study, nominal={**usual, **study.nominal})
 
 
 def _softness(study: Study) -> float:
@@ -178,4 +178,4 @@ def _cosine(seen: Evidence, block: int, other: int) -> float:
     """Cosine of the smallest angle between two blocks beyond the model; 0 if one is not seen."""
     one, two = _orthonormal(seen, block), _orthonormal(seen, other)
     product = one.T @ seen.gram[seen.where[block], seen.where[other]] @ two
-    return float(min(np.linalg.norm(product, 2), 1.0)) if product.size else 0.0
+    return min(float(np.linalg.norm(product, 2)), 1.0) if product.size else 0.0

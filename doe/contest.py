@@ -157,7 +157,7 @@ def contest(
     own /= np.where(scale > 0, scale, np.inf)
     rows = np.hstack([basis, own])
     begin = len(measured[0])
-    blocks = rows[begin:].reshape(*possible[0].shape[:2], -1)
+    blocks = rows[begin:].reshape(*possible[0].shape[:2], rows.shape[1])
     ends = np.cumsum([0, *(len(hypothesis.own) for hypothesis in (cause, *rivals))])
     size = np.zeros(len(scale))
     size[: len(sizes)] = sizes * scale[: len(sizes)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from doe.next_visits import named_visits, possible_visits
 from doe.remedies import remedy
 from identify.arrays import Floats, Ints
 from identify.diagnose.diagnosis import Diagnosis
-from identify.diagnose.library import Hypothesis, columns_of
+from identify.diagnose.library import Hypothesis, columns_of, hypotheses
 from identify.diagnose.search import Cause, carried, with_causes
 from identify.errors import Infeasible, InputError
 from identify.experiment import Experiment
@@ -22,11 +23,12 @@ from identify.threads import one_thread
 
 __all__ = ["NextPoses", "Separation", "choose", "contests", "next_poses"]
 
-_MOST = 1024  # visits to choose from
+_MOST = 768  # visits to choose from
 _CELLS = 2**21  # numbers in their normal matrices
 _BEST = 200  # visits that are tried together before a pair is called inseparable
 _SHORTLIST = 100  # visits that exchanges look at
 _SWEEPS = 4
+_VARIANTS = 3  # causes that are tried with more options than this are taken with those found
 
 
 @dataclass(frozen=True)
@@ -143,14 +145,26 @@ def _contest(found: Diagnosis, cause: Cause, measured: Experiment, possible: Exp
     others = tuple(other.hypothesis for other in found.causes if other is not cause)
     noise = found.search.study.noise
     rest = with_causes(replace(found.study, noise=noise), others)
-    asked = (cause.hypothesis, *cause.rivals)
+    rivals = (*cause.rivals, *_variants(rest, found, cause))
+    asked = (cause.hypothesis, *rivals)
     rows = _whitened(rest, found, measured, asked)
     known = dict(zip(found.search.last.model.names, found.search.last.state.values, strict=True))
     own = cause.hypothesis
     sizes = np.array([known[own.effect.parameters[index].name] for index in own.own])
     empty = (np.zeros((0, 1, rows[0].shape[-1])), np.zeros((0, 1, rows[1].shape[-1])))
     blocks = empty if possible is None else _stacked(_whitened(rest, found, possible, asked), len(possible.visits))
-    return contest(own, cause.rivals, sizes, rows, blocks)
+    return contest(own, rivals, sizes, rows, blocks)
+
+
+def _variants(study: Study, found: Diagnosis, cause: Cause) -> tuple[Hypothesis, ...]:
+    """The same causes at the same places with other options, which a diagnosis will try as well."""
+    stated = (cause.hypothesis, *cause.rivals)
+    there = {(h.entry, str(dict(h.options))) for h in stated}
+    entries = {h.entry for h in stated}
+    every = hypotheses(study, model_of(study), found.search.last)
+    others = [h for h in every if h.entry in entries and (h.entry, str(dict(h.options))) not in there]
+    count = Counter(h.entry for h in others)
+    return tuple(h for h in others if count[h.entry] <= _VARIANTS)
 
 
 def _stacked(rows: tuple[Floats, Floats], visits: int) -> tuple[Floats, Floats]:
@@ -200,7 +214,8 @@ def _separable(one: Contest) -> np.ndarray:
         reached = _of_pairs(one.energies(one.measured + one.possible[best].sum(axis=0)))
         able[[first, second], [second, first]] = reached[first, second] >= one.needed[first, second]
     inside = one.dofs == 0
-    return np.asarray(able & ~inside & ~inside.T)
+    entries = np.array([h.entry for h in (one.cause, *one.rivals)])
+    return np.asarray(able & ~inside & ~inside.T & (entries[:, None] != entries))
 
 
 def _of_pairs(energies: Floats) -> Floats:
@@ -272,18 +287,19 @@ def _judged(
         then = (
             None if chosen is None else _of_pairs(one.energies(one.measured + one.possible[chosen].sum(axis=0)))[0, 1:]
         )
-        for pair, rival in enumerate(one.rivals):
-            can = None if able is None else bool(able[number][0, pair + 1])
+        for name in dict.fromkeys(rival.entry for rival in one.rivals if rival.entry != one.cause.entry):
+            own = np.array([i for i, rival in enumerate(one.rivals) if rival.entry == name])
+            can = None if able is None else bool(able[number][0, 1 + own].all())
             judged.append(
                 Separation(
                     cause=one.cause.entry,
-                    rival=rival.entry,
-                    now=float(now[pair]),
-                    then=None if then is None else float(then[pair]),
-                    needed=float(one.needed[0, pair + 1]),
+                    rival=name,
+                    now=float(now[own].min()),
+                    then=None if then is None else float(then[own].min()),
+                    needed=float(one.needed[0, 1 + own].max()),
                     separable=can,
-                    exact=bool(one.dofs[0, pair + 1] == 0 or one.dofs[pair + 1, 0] == 0),
-                    advice=remedy(one.cause.name, rival.name, bool(can)),
+                    exact=bool((one.dofs[0, 1 + own] == 0).any() or (one.dofs[1 + own, 0] == 0).any()),
+                    advice=remedy(one.cause.name, name.partition("@")[0], bool(can)),
                 )
             )
     return tuple(judged)

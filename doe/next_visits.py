@@ -52,6 +52,7 @@ def possible_visits(
         new,
         wrench=None if measured.wrench is None else _pulled(study, measured, measured.wrench, q, loads),
         approach=None if measured.approach is None else rng.choice([-1.0, 1.0], q.shape),
+        start=measured.start,
         time=None if measured.time is None else _later(measured, measured.time, new),
         temperature=None if measured.temperature is None else np.full(len(new.row_shot), measured.temperature[-1]),
     )
