@@ -29,7 +29,7 @@ from identify.tables import load_plan, plan_csv, plan_experiment
 __all__ = ["run_evaluate", "run_plan"]
 
 _CONFIDENCE = 0.95
-_SHOWN_NAMES = 5
+_SHOWN_NAMES = 6
 _UNIT = {"test_pose": "mm^2", "G": "mm^2"}
 
 
@@ -116,11 +116,12 @@ def _own(hypothesis: Hypothesis) -> list[Parameter]:
 def _confusability_lines(found: dict[str, Any]) -> list[str]:
     """What a diagnosis of this plan would miss or mix up, at typical sizes."""
     entries = {id(c): c["name"] + ("" if c["where"] is None else f"@{c['where']}") for c in found["causes"]}
-    unseen = [c for c in found["causes"] if c["energy"] < found["shown_at"]]
+    seen = {c["name"] for c in found["causes"] if c["energy"] >= found["shown_at"]}
+    unseen = sorted({c["name"] for c in found["causes"]} - seen)
     mixed = [c for c in found["causes"] if c["energy"] >= found["shown_at"] > c["energy_beside_closest"]]
     lines = []
     if unseen:
-        lines.append(f"would not show at its typical size: {_some([entries[id(c)] for c in unseen])}")
+        lines.append(f"would show nowhere at their typical sizes: {_some(unseen)}")
     if mixed:
         pairs = dict.fromkeys(" / ".join(sorted((entries[id(c)], c["closest"]))) for c in mixed)
         lines.append(f"could not be told apart: {_some(list(pairs))}")

@@ -92,7 +92,7 @@ def test_evaluate_writes_and_prints_what_a_diagnosis_could_not_tell(tmp_path):
     assert 0.9 < entry["cosine"] <= 1.0
     assert [p["unit"] for p in entry["parameters"]] == ["urad/Nm"] * 2
     text = "\n".join(judged.lines)
-    assert "would not show at its typical size" in text
+    assert "would show nowhere at their typical sizes: approach_hysteresis, force_sensor_bias, geometry" in text
     assert "could not be told apart" in text
 
 
