@@ -54,7 +54,9 @@ def possible_visits(
         approach=None if measured.approach is None else rng.choice([-1.0, 1.0], q.shape),
         start=measured.start,
         time=None if measured.time is None else _later(measured, measured.time, new),
-        temperature=None if measured.temperature is None else np.full(len(new.row_shot), measured.temperature[-1]),
+        temperature=None
+        if measured.temperature is None
+        else np.full(len(new.row_shot), _last(measured, measured.temperature)),
     )
 
 
@@ -98,6 +100,11 @@ def _later(measured: Experiment, time: Floats, new: Experiment) -> Floats:
     shots = len(new.shot_visit) // len(new.visits)
     later: Floats = float(time.max()) + pace * (2 + new.row_shot % shots / shots)
     return later
+
+
+def _last(measured: Experiment, read: Floats) -> float:
+    """What was read last: by time where it was noted, else in the last row."""
+    return float(read[-1 if measured.time is None else int(np.argmax(measured.time))])
 
 
 def named_visits(possible: Experiment, index: Ints, measured: Experiment) -> Experiment:
