@@ -8,11 +8,20 @@ from typing import Any
 _HOME = {  # public name -> module that defines it; loaded at the first use, so that ``import doe`` is quick
     "ApproximateDesign": "doe.approximate",
     "ExactDesign": "doe.exact",
+    "NextPoses": "doe.discriminate",
     "approximate_design": "doe.approximate",
     "exact_design": "doe.exact",
+    "next_poses": "doe.discriminate",
 }
 
-__all__ = ["ApproximateDesign", "ExactDesign", "approximate_design", "exact_design"]  # noqa: F822
+__all__ = [  # noqa: F822
+    "ApproximateDesign",
+    "ExactDesign",
+    "NextPoses",
+    "approximate_design",
+    "exact_design",
+    "next_poses",
+]
 
 
 def __getattr__(name: str) -> Any:

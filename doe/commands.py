@@ -10,6 +10,7 @@ import numpy as np
 from doe.accuracy import Accuracy, accuracy, radius
 from doe.bounds import Bound
 from doe.candidates import Candidates
+from doe.confusability import SHOWN, confusability
 from doe.evaluate import evaluate
 from doe.joint_only import joint_only
 from doe.objective import Objective
@@ -18,7 +19,9 @@ from doe.plan import Plan, plan
 from identify.arrays import Floats
 from identify.commands import Outcome
 from identify.config import load_study
-from identify.experiment import full_experiment
+from identify.diagnose.library import Hypothesis
+from identify.effects.base import Parameter
+from identify.experiment import Experiment, full_experiment
 from identify.identifiability import Identifiability, why_not
 from identify.study import Study
 from identify.tables import load_plan, plan_csv, plan_experiment
@@ -26,6 +29,7 @@ from identify.tables import load_plan, plan_csv, plan_experiment
 __all__ = ["run_evaluate", "run_plan"]
 
 _CONFIDENCE = 0.95
+_SHOWN_NAMES = 6
 _UNIT = {"test_pose": "mm^2", "G": "mm^2"}
 
 
@@ -72,10 +76,62 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
         "weakest": _weakest(judged.observer, judged.known, aim, judged.covariance),
         "std": _std(judged.covariance),
         **_counts(judged.candidates),
+        "confusability": _confusability(study, experiment),
         "time_s": None,
         "notes": [],
     }
-    return Outcome("evaluate", content, (*study.inputs, plan_file), {}, _lines(content, judged.visits))
+    lines = (*_lines(content, judged.visits), *_confusability_lines(content["confusability"]))
+    return Outcome("evaluate", content, (*study.inputs, plan_file), {}, lines)
+
+
+def _confusability(study: Study, experiment: Experiment) -> dict[str, Any]:
+    """Every cause that the model does not hold: would it show, and what would it be confused with?"""
+    reference, causes = confusability(study, experiment)
+    return {
+        "reference": reference,
+        "shown_at": SHOWN,
+        "causes": [
+            {
+                "name": cause.hypothesis.name,
+                "where": cause.hypothesis.where,
+                "energy": cause.energy,
+                "closest": cause.rival,
+                "cosine": cause.cosine,
+                "energy_beside_closest": cause.beside_rival,
+                "parameters": [
+                    {"name": p.name, "unit": p.unit, "typical": typical, "detectable": size}
+                    for p, typical, size in zip(_own(cause.hypothesis), cause.typical, cause.detectable, strict=True)
+                ],
+            }
+            for cause in causes
+        ],
+    }
+
+
+def _own(hypothesis: Hypothesis) -> list[Parameter]:
+    """The parameters of a cause at its place."""
+    return [hypothesis.effect.parameters[index] for index in hypothesis.own]
+
+
+def _confusability_lines(found: dict[str, Any]) -> list[str]:
+    """What a diagnosis of this plan would miss or mix up, at typical sizes."""
+    entries = {id(c): c["name"] + ("" if c["where"] is None else f"@{c['where']}") for c in found["causes"]}
+    seen = {c["name"] for c in found["causes"] if c["energy"] >= found["shown_at"]}
+    unseen = sorted({c["name"] for c in found["causes"]} - seen)
+    mixed = [c for c in found["causes"] if c["energy"] >= found["shown_at"] > c["energy_beside_closest"]]
+    lines = []
+    if unseen:
+        lines.append(f"would show nowhere at their typical sizes: {_some(unseen)}")
+    if mixed:
+        pairs = dict.fromkeys(" / ".join(sorted((entries[id(c)], c["closest"]))) for c in mixed)
+        lines.append(f"could not be told apart: {_some(list(pairs))}")
+    return lines
+
+
+def _some(names: list[str]) -> str:
+    """The first names of a list and how many more there are."""
+    more = f" and {len(names) - _SHOWN_NAMES} more" if len(names) > _SHOWN_NAMES else ""
+    return ", ".join(names[:_SHOWN_NAMES]) + more
 
 
 def _accuracy(study: Study, aim: Objective, covariance: Floats) -> Accuracy | None:

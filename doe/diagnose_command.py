@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+from doe.discriminate import NextPoses, Separation, next_poses
 from identify.commands import Outcome
 from identify.config import load_study
 from identify.diagnose import diagnose
@@ -12,12 +14,13 @@ from identify.diagnose.extension import extended_toml
 from identify.diagnose.residual_table import residuals_csv
 from identify.effects import REGISTRY
 from identify.errors import InputError
-from identify.tables import load_measurements
+from identify.tables import load_measurements, plan_csv
 
 __all__ = ["run_diagnose"]
 
 EXTENDED = "extended.toml"
 RESIDUALS = "residuals.csv"
+NEXT = "next_poses.csv"
 
 
 def run_diagnose(
@@ -40,6 +43,52 @@ def run_diagnose(
             raise InputError(f"--without {name}: no such cause; allowed are {', '.join(sorted(REGISTRY))}")
     study = load_study(study_file)
     found = diagnose(study, load_measurements(measurements, study), seed=seed, without=frozenset(without))
-    content = {**diagnosis_json(found), "extended_study": EXTENDED, "next_poses": None}
+    following = next_poses(study, found, seed=seed)
+    content = diagnosis_json(found)
+    content = {
+        **content,
+        "extended_study": EXTENDED,
+        "next_poses": None if following.experiment is None else NEXT,
+        "separation": [_separation(pair) for pair in following.separations],
+        "notes": [*content["notes"], *following.notes],
+    }
     tables = {EXTENDED: extended_toml(found, out), RESIDUALS: residuals_csv(found)}
-    return Outcome("diagnose", content, (*study.inputs, measurements), tables, diagnosis_lines(content))
+    if following.experiment is not None:
+        tables[NEXT] = plan_csv(following.experiment, study)
+    lines = (*diagnosis_lines(content), *_lines(following))
+    return Outcome("diagnose", content, (*study.inputs, measurements), tables, lines)
+
+
+def _separation(pair: Separation) -> dict[str, Any]:
+    """A cause against a rival as plain data."""
+    return {
+        "cause": pair.cause,
+        "rival": pair.rival,
+        "energy_now": pair.now,
+        "energy_then": pair.then,
+        "energy_needed": pair.needed,
+        "separable": pair.separable,
+        "exact": pair.exact,
+        "advice": pair.advice,
+    }
+
+
+def _lines(following: NextPoses) -> list[str]:
+    """What to measure next, for people."""
+    lines = []
+    if following.experiment is not None:
+        lines.append(
+            f"measure next: the {len(following.experiment.visits)} poses of {NEXT}, then diagnose all readings"
+        )
+    return lines + [f"    {pair.cause} against {pair.rival}: {_outlook(pair)}" for pair in following.separations]
+
+
+def _outlook(pair: Separation) -> str:
+    """What the next poses will do for a pair."""
+    if pair.separable is False:
+        return f"no pose separates these; {pair.advice}"
+    if pair.then is None:
+        return f"energy {pair.now:.0f} now, {pair.needed:.0f} needed"
+    enough = "" if pair.then >= pair.needed else ", not enough yet: measure more such poses"
+    beside = "" if pair.advice is None else f"; {pair.advice}"
+    return f"energy {pair.now:.0f} now, {pair.then:.0f} then, {pair.needed:.0f} needed{enough}{beside}"

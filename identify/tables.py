@@ -374,8 +374,13 @@ def _in_order(rows: _Rows) -> _Rows:
 
 
 def plan_csv(experiment: Experiment, study: Study) -> str:
-    """Text of ``plan.csv``: one row a visit and load, in the order of the shots."""
-    header, columns = _shot_columns(experiment, study, np.arange(len(experiment.shot_visit)))
+    """Text of ``plan.csv``: one row a visit and load, in the order of the shots.
+
+    Where the experiment states from where a pose is approached, or a wrench, their columns follow.
+    """
+    shot = np.arange(len(experiment.shot_visit))
+    header, columns = _shot_columns(experiment, study, shot)
+    _append(header, columns, _conditions(experiment, study, shot))
     return csv_text(header, columns)
 
 
@@ -385,19 +390,35 @@ def measurements_csv(data: Measurements, study: Study) -> str:
     header, columns = _shot_columns(e, study, e.row_shot)
     header[2:2] = ["marker", "repeat"]
     columns[2:2] = [[e.markers.names[i] for i in e.row_marker], e.shot_repeat[e.row_shot]]
-    blocks: list[tuple[Sequence[str], np.ndarray | None]] = [
-        (_POSITION, data.positions / MM),
-        (["time_s"], e.time if e.time is None else e.time[:, None]),
-        (["temperature_C"], e.temperature if e.temperature is None else e.temperature[:, None]),
-        (_approach_columns(study), None if e.approach is None else e.approach[e.row_visit].astype(np.int64)),
-        (_WRENCH, None if e.wrench is None else e.wrench[e.row_shot]),
-        (_QUATERNION, data.quaternions),
-    ]
+    _append(
+        header,
+        columns,
+        [
+            (_POSITION, data.positions / MM),
+            (["time_s"], e.time if e.time is None else e.time[:, None]),
+            (["temperature_C"], e.temperature if e.temperature is None else e.temperature[:, None]),
+            *_conditions(e, study, e.row_shot),
+            (_QUATERNION, data.quaternions),
+        ],
+    )
+    return csv_text(header, columns)
+
+
+_Block = tuple[Sequence[str], np.ndarray | None]  # names of columns and their values, if there are any
+
+
+def _conditions(e: Experiment, study: Study, shot: Ints) -> list[_Block]:
+    """How poses are approached and what was measured to act, for the given shots."""
+    approach = None if e.approach is None else e.approach[e.shot_visit[shot]].astype(np.int64)
+    return [(_approach_columns(study), approach), (_WRENCH, None if e.wrench is None else e.wrench[shot])]
+
+
+def _append(header: list[str], columns: list[Sequence[str] | np.ndarray], blocks: list[_Block]) -> None:
+    """Put the blocks that exist behind the columns of a table."""
     for names, block in blocks:
         if block is not None:
             header += names
             columns += list(block.T)
-    return csv_text(header, columns)
 
 
 def predicted_csv(experiment: Experiment, positions: Floats, std: Floats) -> str:

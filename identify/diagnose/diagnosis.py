@@ -15,7 +15,7 @@ from identify.diagnose.search import Cause, Search, search, with_noise_found
 from identify.diagnose.spread import NoiseFound, RangeNoise, noise_found, range_noise
 from identify.diagnose.structure import patterns
 from identify.errors import NotIdentifiable
-from identify.experiment import Measurements
+from identify.experiment import Experiment, Measurements
 from identify.fit import Fit, fit, start
 from identify.identification import Identification, fit_differences, identify
 from identify.lack_of_fit import LackOfFit, lack_of_fit
@@ -24,7 +24,7 @@ from identify.selection import load_changes
 from identify.study import Study
 from identify.threads import one_thread
 
-__all__ = ["Diagnosis", "Remainder", "Verdict", "diagnose"]
+__all__ = ["Diagnosis", "Remainder", "Verdict", "diagnose", "known_reference"]
 
 Verdict = Literal["adequate", "cause_found", "ambiguous", "unexplained"]
 
@@ -155,17 +155,29 @@ def _with_reference(study: Study, data: Measurements) -> tuple[Study, tuple[str,
 
     Absolute readings that contradict the model are what a diagnosis is about, so that only unknown masses count.
     """
-    if study.reference != "auto":
+    if known_reference(study, data.experiment) == study.reference:
         return study, ()
-    compares = len(load_changes(data.experiment, data.positions)[1]) > 0
-    yields = any(effect.yields for effect in model_of(study).effects)
-    if compares and yields and not study.robot.masses_known:
+    if known_reference(study, data.experiment) == "differences":
         note = (
             "link masses are unknown: only changes between loads are used, which hide causes that act in every "
             "reading alike; state the masses in the robot file"
         )
         return replace(study, reference="differences"), (note,)
     return replace(study, reference="absolute"), ()
+
+
+def known_reference(study: Study, experiment: Experiment) -> Literal["absolute", "differences"]:
+    """What a diagnosis compares: absolute readings, unless link masses are unknown and readings can be compared.
+
+    Args:
+        study: The study.
+        experiment: The rows.
+    """
+    if study.reference != "auto":
+        return study.reference
+    compares = len(load_changes(experiment, np.zeros((len(experiment.row_shot), 3)))[1]) > 0
+    yields = any(effect.yields for effect in model_of(study).effects)
+    return "differences" if compares and yields and not study.robot.masses_known else "absolute"
 
 
 def _check_enough(study: Study, data: Measurements) -> None:

@@ -20,10 +20,10 @@ from identify.effects import REGISTRY, Effect
 from identify.effects.joint_turns import axis_compliance
 from identify.experiment import Experiment
 from identify.fit import Fit
-from identify.model import Model, added_columns, model_of
+from identify.model import Model, Response, added_columns, model_of
 from identify.study import Study
 
-__all__ = ["Hypothesis", "Tried", "finer", "hypotheses", "merged_options", "tried"]
+__all__ = ["Hypothesis", "Tried", "columns_of", "finer", "hypotheses", "merged_options", "tried"]
 
 _EVERYWHERE = "all"
 _PLACE = re.compile(r"j\d+|j\d+-j\d+|link\d+|base|column|flange|all")
@@ -81,14 +81,29 @@ class Tried:
 
 def tried(found: Fit, asked: tuple[Hypothesis, ...]) -> tuple[Tried, ...]:
     """Columns of hypotheses at the values of a fit."""
-    model, experiment, values = found.model, found.data.experiment, found.state.values
+    columns = columns_of(asked, found.model, found.response, found.data.experiment, found.state.values)
+    return tuple(Tried(h, part, h.plausible) for h, part in zip(asked, columns, strict=True))
+
+
+def columns_of(
+    asked: tuple[Hypothesis, ...], model: Model, response: Response, experiment: Experiment, values: Floats
+) -> tuple[Floats, ...]:
+    """Columns (R, 3, b) of hypotheses beside a model on any rows, m per unit.
+
+    Args:
+        asked: The hypotheses, bound beside the effects of the model.
+        model: The model.
+        response: The model at ``values``.
+        experiment: The rows.
+        values: (p,) parameters of the model in their units.
+    """
     columns: dict[int, Floats] = {}
     for hypothesis in asked:
         effect = hypothesis.effect
         if id(effect) not in columns:
             every = np.arange(len(effect.parameters))
-            columns[id(effect)] = added_columns(model, effect, every, found.response, experiment, values)
-    return tuple(Tried(h, columns[id(h.effect)][:, :, h.own], h.plausible) for h in asked)
+            columns[id(effect)] = added_columns(model, effect, every, response, experiment, values)
+    return tuple(columns[id(h.effect)][:, :, h.own] for h in asked)
 
 
 def hypotheses(

@@ -23,7 +23,7 @@ from identify.identification import fit_differences
 from identify.model import Model, model_of
 from identify.study import Study
 
-__all__ = ["Cause", "Search", "fitted", "search", "with_causes", "with_noise_found"]
+__all__ = ["Cause", "Search", "carried", "fitted", "search", "with_causes", "with_noise_found"]
 
 _MOST = 8  # causes
 _SHORTLIST = 16  # blocks whose leave-out error is computed
@@ -98,13 +98,13 @@ def fitted(study: Study, data: Measurements, *, differences: bool, begin: Fit | 
         begin: A fit of a similar model, whose values are where the new one starts.
     """
     model = model_of(study)
-    state = start(model, data) if begin is None else _carried(begin, model, len(data.positions))
+    state = start(model, data) if begin is None else carried(begin, model, len(data.positions))
     if differences:
         return fit_differences(study, model, data, state, reweigh=False)
     return fit(model, data, study.noise, state, reweigh=False)
 
 
-def _carried(begin: Fit, model: Model, rows: int) -> State:
+def carried(begin: Fit, model: Model, rows: int) -> State:
     """The values of a fit in another model."""
     known = dict(zip(begin.model.names, begin.state.values, strict=True))
     values = np.array([known.get(p.name, p.nominal) for p in model.parameters])
