@@ -120,8 +120,7 @@ class Identification:
     def deflection(self) -> tuple[Misfit, Misfit]:
         """Measured deflection and what the model leaves of it, without `worst`; empty without loads."""
         rows = np.setdiff1d(np.arange(len(self.residuals)), self.worst)
-        measured = self.fit.response.position + self.residuals
-        before = misfit_of(self.data, measured, "differences", rows)
+        before = misfit_of(self.data, self.fit.reading, "differences", rows)
         return before, misfit_of(self.data, self.residuals, "differences", rows)
 
     @property
@@ -244,7 +243,7 @@ def _check_enough(found: Fit) -> None:
     Raises:
         NotIdentifiable: Nothing that is asked for can be identified, or there are too few rows for it.
     """
-    model, known, rows = found.model, found.identifiability, len(found.columns)
+    model, known, rows = found.model, found.identifiability, len(found.whitened)
     dropped = [d for d in known.dropped if found.fitted[d.column]]
     names = tuple(model.names[d.column] for d in dropped)
     if rows <= known.rank and any(d.alike for d in dropped):

@@ -50,6 +50,15 @@ class LoadedScene(Scene):
         """Fields of a named set of springs."""
         return self.exact[springs]
 
+    def torque(self, springs: SpringSet) -> Floats:
+        """(S, s) the torques of a named set of springs."""
+        return self.exact[springs].torque
+
+    def moved_by(self, springs: SpringSet, yielded: Floats) -> Floats:
+        """(R, 3) motion of the markers where a set of springs yields by ``yielded`` (S, s) more, rad or m."""
+        moved: Floats = np.einsum("rsi,rs->ri", self.exact[springs].motion, yielded[self.experiment.row_shot])
+        return moved
+
 
 @dataclass(frozen=True, eq=False)
 class _Load:

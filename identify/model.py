@@ -179,7 +179,7 @@ def respond(
     _through_columns(direct, model, experiment, values, deflection, wanted)
     columns = direct
     if deflection.any():
-        columns = _with_bending(direct, model, experiment, values, deflection, wanted)
+        columns = _with_bending(direct, model, experiment, values, scene, deflection, wanted)
     if model.frame_size and columns is not direct:
         columns[:, :, 3:6] = -MRAD * skew(position)
     return Response(scene, position, deflection, columns, direct)
@@ -205,10 +205,15 @@ def deflected(
             experiment = effect.reload(experiment, values[where])
     markers = marker_positions(model, experiment, values)
     scene = build_scene(experiment, forward(robot, experiment.q), markers, self_weight=model.self_weight)
+    return _yielding(model, scene, values, tolerance)
+
+
+def _yielding(model: Model, scene: Scene, values: Floats, tolerance: float = TOLERANCE) -> tuple[Scene, Floats]:
+    """The scene, in equilibrium if the model asks for that, and the (R, 3) displacement, m."""
     given = [(effect, values[inputs]) for effect, inputs in zip(model.effects, model.effect_inputs, strict=True)]
     deflection = np.zeros_like(scene.point)
     if model.loaded:
-        scene = load_scene(scene, *spring_matrix(given, robot.n), tolerance=tolerance)
+        scene = load_scene(scene, *spring_matrix(given, model.robot.n), tolerance=tolerance)
         deflection = scene.moved
         given = [(effect, inputs) for effect, inputs in given if effect.springs is None]
     for effect, inputs in given:
@@ -217,30 +222,40 @@ def deflected(
 
 
 def _with_bending(
-    direct: Floats, model: Model, experiment: Experiment, values: Floats, deflection: Floats, wanted: np.ndarray
+    direct: Floats,
+    model: Model,
+    experiment: Experiment,
+    values: Floats,
+    scene: Scene,
+    deflection: Floats,
+    wanted: np.ndarray,
 ) -> Floats:
     """Add how the deflection itself changes when geometry or markers move: the second-order part of their columns.
 
     By forward differences of a small term (a step of 1 um or 1 urad in a field of some mm).
     """
-    moved = [np.arange(model.frame_size + axis, model.frame_size + model.marker_size, 3) for axis in range(3)]
-    moved = moved if model.marker_size else []
-    for effect, where in zip(model.effects, model.effect_slices, strict=True):
-        if effect.adjust is not None and not effect.through:
-            moved += [np.array([column]) for column in range(where.start, where.stop)]
-    moved = [index for index in moved if wanted[index].any()]
-    if not moved and not wanted[: model.frame_size].any():
+    markers = slice(model.frame_size, model.frame_size + model.marker_size)
+    own = [
+        column
+        for effect, where in zip(model.effects, model.effect_slices, strict=True)
+        if effect.adjust is not None and not effect.through
+        for column in range(where.start, where.stop)
+        if wanted[column]
+    ]
+    if not own and not wanted[: markers.stop].any():
         return direct
-    columns = direct.copy()
-    for index in moved:
+    columns, rows = direct.copy(), np.arange(len(deflection))
+    if wanted[markers].any():
+        for axis in range(3):  # every row has its own marker
+            nudged = values.copy()
+            nudged[markers][axis::3] += _NUDGE
+            elsewhere = scene.with_markers(marker_positions(model, experiment, nudged))
+            change = (_yielding(model, elsewhere, nudged)[1] - deflection) / _NUDGE
+            columns[rows, :, markers.start + axis + 3 * experiment.row_marker] += change
+    for column in own:
         nudged = values.copy()
-        nudged[index] += _NUDGE
-        change = (deflected(model, experiment, nudged)[1] - deflection) / _NUDGE
-        if len(index) == 1:
-            columns[:, :, index[0]] += change
-        else:  # every row has its own marker
-            rows = np.arange(len(change))
-            columns[rows, :, index[experiment.row_marker]] += change
+        nudged[column] += _NUDGE
+        columns[:, :, column] += (deflected(model, experiment, nudged)[1] - deflection) / _NUDGE
     return columns
 
 

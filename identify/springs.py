@@ -33,6 +33,7 @@ __all__ = [
     "load_torque",
     "motion",
     "self_weight_torque",
+    "twist",
 ]
 
 
@@ -106,6 +107,24 @@ def motion(springs: Springs, points: Floats) -> Floats:
     if not springs.slides.any():
         return cross(axis, arm)
     return np.where(springs.slides[:, None], axis, cross(axis, arm))
+
+
+def twist(springs: Springs, pose: Ints, yielded: Floats) -> Floats:
+    """Motion of the flange as a rigid body where springs yield: of its point at the base origin, then its turn.
+
+    Args:
+        springs: Springs in V poses.
+        pose: (S,) pose of each shot.
+        yielded: (S, s) deflection of each spring, rad or m.
+
+    Returns:
+        (S, 6) m and rad: a point p of the flange moves by ``v + w x p``.
+    """
+    turning = np.where(springs.slides[:, None], 0.0, springs.axis)
+    linear = np.where(springs.slides[:, None], springs.axis, cross(springs.origin, springs.axis))
+    screws = np.concatenate([linear, turning], axis=2)
+    moved: Floats = (yielded[:, None] @ screws[pose])[:, 0]
+    return moved
 
 
 def load_torque(springs: Springs, point: Floats, force: Floats, moment: Floats) -> Floats:

@@ -20,12 +20,27 @@ from identify.experiment import Experiment
 from identify.kinematics import Frames
 from identify.loads import LoadCase
 from identify.robot import Robot
-from identify.springs import Springs, base_springs, joint_springs, link_springs, load_torque, motion, self_weight_torque
+from identify.springs import (
+    Springs,
+    base_springs,
+    cross,
+    joint_springs,
+    link_springs,
+    load_torque,
+    motion,
+    self_weight_torque,
+    twist,
+)
 
 __all__ = ["Binding", "Effect", "Fields", "Parameter", "Scene", "SpringSet", "Term", "build_scene"]
 
 #: Springs that a scene knows: one a joint, six a link (`link_springs`), twelve at the foot (`base_springs`).
 SpringSet = Literal["joints", "links", "base"]
+_SPRINGS: dict[SpringSet, Callable[[Frames], Springs]] = {
+    "joints": joint_springs,
+    "links": link_springs,
+    "base": base_springs,
+}
 
 
 @dataclass(frozen=True)
@@ -122,31 +137,64 @@ class Scene:
     @cached_property
     def joints(self) -> Fields:
         """Fields of the n joint springs."""
-        return self._fields(joint_springs)
+        return self._fields("joints")
 
     @cached_property
     def links(self) -> Fields:
         """Fields of the 6 (n + 1) link springs, see `identify.springs.link_springs`."""
-        return self._fields(link_springs)
+        return self._fields("links")
 
     @cached_property
     def base(self) -> Fields:
         """Fields of the twelve springs at the foot, see `identify.springs.base_springs`."""
-        return self._fields(base_springs)
+        return self._fields("base")
 
     def fields(self, springs: SpringSet) -> Fields:
         """Fields of a named set of springs."""
         found: Fields = getattr(self, springs)
         return found
 
-    def _fields(self, springs_of: Callable[[Frames], Springs]) -> Fields:
-        experiment, springs = self.experiment, springs_of(self.frames)
+    def torque(self, springs: SpringSet) -> Floats:
+        """(S, s) the torques of a named set of springs, without the motion of any marker."""
+        return self._loaded(springs)[1]
+
+    def moved_by(self, springs: SpringSet, yielded: Floats) -> Floats:
+        """(R, 3) motion of the markers where a set of springs yields by ``yielded`` (S, s), rad or m.
+
+        The flange moves as a rigid body, so that one twist a shot serves all its markers.
+        """
+        experiment = self.experiment
+        rows = twist(self._loaded(springs)[0], experiment.shot_pose, yielded)[experiment.row_shot]
+        moved = rows[:, :3] + cross(rows[:, 3:], self.point)
+        moved[experiment.markers.on_base[experiment.row_marker]] = 0.0
+        return moved
+
+    def with_markers(self, positions: Floats) -> Scene:
+        """The same arm under the same loads, undeflected, with markers elsewhere: (M, 3) in their own frames, m."""
+        other = Scene(self.experiment, self.frames, _points(self.experiment, self.frames, positions), self.self_weight)
+        other._known.update(self._known)
+        return other
+
+    @cached_property
+    def _known(self) -> dict[str, tuple[Springs, Floats]]:
+        """Springs and torques that were asked for; no marker has a part in them."""
+        return {}
+
+    def _loaded(self, name: SpringSet) -> tuple[Springs, Floats]:
+        """A set of springs in all poses, and its torques (S, s)."""
+        if name not in self._known:
+            springs = _SPRINGS[name](self.frames)
+            torque = _load_torque(self.experiment, self.frames, _SPRINGS[name])
+            if self.self_weight:
+                torque += self_weight_torque(springs, self.frames)[self.experiment.shot_pose]
+            self._known[name] = springs, torque
+        return self._known[name]
+
+    def _fields(self, name: SpringSet) -> Fields:
+        springs, torque = self._loaded(name)
         moves = motion(springs, self.marker)
-        moves[:, experiment.markers.on_base] = 0.0
-        torque = _load_torque(experiment, self.frames, springs_of)
-        if self.self_weight:
-            torque += self_weight_torque(springs, self.frames)[experiment.shot_pose]
-        return Fields(moves[self.row_pose, experiment.row_marker], torque)
+        moves[:, self.experiment.markers.on_base] = 0.0
+        return Fields(moves[self.row_pose, self.experiment.row_marker], torque)
 
 
 Displacement = Callable[[Scene, Floats], Floats]
@@ -165,6 +213,7 @@ class Effect:
         yields: True if it answers to loads (only then do differences between loads show it).
         adjust: ``(robot, values) -> robot`` for effects that change the robot itself.
         reload: ``(experiment, values) -> experiment`` for effects that change what acts on the arm.
+        linear: True if its displacement is linear in its values, so that its derivative does not depend on them.
         through: True if it moves markers only through springs that other effects bring (a wrong mass, a wrong load):
             its ``derivative`` is zero and its columns are differences of the whole model's response.
         why_zero: Index of a parameter -> why no row may depend on it.
@@ -183,6 +232,7 @@ class Effect:
     yields: bool = True
     adjust: Callable[[Robot, Floats], Robot] | None = None
     reload: Callable[[Experiment, Floats], Experiment] | None = None
+    linear: bool = False
     through: bool = False
     borrowed: tuple[str, ...] = ()
     springs: SpringSet | None = None
@@ -200,10 +250,14 @@ def build_scene(experiment: Experiment, frames: Frames, positions: Floats, *, se
         positions: (M, 3) markers in their own frames, m.
         self_weight: Count the weight of links and tool.
     """
-    markers = experiment.markers
+    return Scene(experiment, frames, _points(experiment, frames, positions), self_weight)
+
+
+def _points(experiment: Experiment, frames: Frames, positions: Floats) -> Floats:
+    """(C, M, 3) undeflected markers in all poses."""
     points = np.stack([frames.point(local) for local in positions], axis=1)
-    points[:, markers.on_base] = positions[markers.on_base]
-    return Scene(experiment, frames, points, self_weight)
+    points[:, experiment.markers.on_base] = positions[experiment.markers.on_base]
+    return points
 
 
 def _load_torque(experiment: Experiment, frames: Frames, springs_of: Callable[[Frames], Springs]) -> Floats:

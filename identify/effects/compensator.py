@@ -116,6 +116,7 @@ def gravity_compensator(binding: Binding) -> Effect:
         derivative,
         why_zero,
         borrowed=tuple(name for part in parts for name in part.borrowed),
+        linear=all(part.levels is not None for part in parts),
         stops={part.joint: part.levels for part in parts if part.levels is not None},
     )
 

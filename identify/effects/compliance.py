@@ -49,14 +49,13 @@ def spring_effect(name: str, terms: tuple[Term, ...], springs: SpringSet, why_ze
         return np.asarray(columns.swapaxes(1, 2))
 
     def displacement(scene: Scene, values: Floats) -> Floats:
-        fields, size = scene.fields(springs), scale * values
-        every = np.arange(fields.torque.shape[1])
-        yielded = (fields.torque[:, second] * size) @ (first[:, None] == every)
-        yielded += (fields.torque[:, first[mutual]] * size[mutual]) @ (second[mutual][:, None] == every)
-        moved: Floats = np.einsum("rsi,rs->ri", fields.motion, yielded[scene.experiment.row_shot])
-        return moved
+        torque, size = scene.torque(springs), scale * values
+        compliance = np.zeros((torque.shape[1],) * 2)
+        np.add.at(compliance, (first, second), size)
+        np.add.at(compliance, (second[mutual], first[mutual]), size[mutual])
+        return scene.moved_by(springs, torque @ compliance.T)
 
-    return Effect(name, parameters, displacement, derivative, why_zero, springs=springs, terms=terms)
+    return Effect(name, parameters, displacement, derivative, why_zero, linear=True, springs=springs, terms=terms)
 
 
 def joint_compliance(binding: Binding) -> Effect:

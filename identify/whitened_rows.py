@@ -1,0 +1,217 @@
+"""The rows of a fit, a part of the visits at a time: residuals, whitening, and the triangle of the whitened columns.
+
+All that a least-squares step needs of K whitened columns X and their residual r is the R factor of ``[X r]``. It is
+accumulated over parts of some thousand rows, so that the columns of all rows are never held at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from identify.arrays import Floats, Ints
+from identify.experiment import Measurements
+from identify.identifiability import enlarged
+from identify.model import Model, Response, respond
+from identify.noise import Whitening, instrument_covariance, joined, whitening
+from identify.row_distances import row_distances
+from identify.selection import take_rows
+from identify.study import Noise
+
+__all__ = ["Part", "Problem", "Rows", "State", "problem_of", "rows_at", "station", "stepped"]
+
+_ROWS = 2048  # of a part: its columns stay in cache
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Where a fit stands.
+
+    Attributes:
+        values: (p,) parameters in their units; frame parameters are zero, they live in the placement.
+        base_T_measurement: (4, 4) placement of the measurement frame, m.
+        weights: (R,) weights of the rows, 1 for good ones.
+    """
+
+    values: Floats
+    base_T_measurement: Floats
+    weights: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some whole visits.
+
+    Attributes:
+        rows: Which rows of the data they are.
+        data: These rows, with their own shots and poses.
+    """
+
+    rows: slice
+    data: Measurements
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What does not change during a fit.
+
+    Attributes:
+        model: The model.
+        data: The rows.
+        noise: Their stated noise.
+        free_offsets: Only changes within a visit inform.
+        free: (p,) True for parameters that may move.
+        parts: The rows in parts.
+    """
+
+    model: Model
+    data: Measurements
+    noise: Noise
+    free_offsets: bool
+    free: np.ndarray
+    parts: tuple[Part, ...]
+
+    @cached_property
+    def chosen(self) -> Ints:
+        """Indices of the parameters that may move."""
+        return np.flatnonzero(self.free)
+
+    @cached_property
+    def linear(self) -> bool:
+        """True if the columns do not depend on the values of what may move."""
+        model = self.model
+        moving = [e for e, where in zip(model.effects, model.effect_slices, strict=True) if self.free[where].any()]
+        return not model.loaded and not (self.free & model.nuisance).any() and all(e.linear for e in moving)
+
+
+def problem_of(model: Model, data: Measurements, noise: Noise, free_offsets: bool, free: np.ndarray) -> Problem:
+    """The problem with its rows cut into parts of whole visits."""
+    visit = data.experiment.row_visit
+    count = len(visit)
+    if count <= 2 * _ROWS:
+        return Problem(model, data, noise, free_offsets, free, (Part(slice(0, count), data),))
+    starts = np.flatnonzero(np.diff(visit, prepend=-1))
+    cuts = np.unique(starts[np.searchsorted(starts, np.arange(0, count, _ROWS), side="right") - 1])
+    slices = [slice(int(a), int(b)) for a, b in zip(cuts, [*cuts[1:], count], strict=True)]
+    parts = tuple(Part(rows, _rows_alone(data, rows)) for rows in slices)
+    return Problem(model, data, noise, free_offsets, free, parts)
+
+
+def _rows_alone(data: Measurements, rows: slice) -> Measurements:
+    """Some rows without the shots and poses of the others."""
+    part = take_rows(data, np.arange(rows.start, rows.stop))
+    return replace(part, experiment=part.experiment.of_rows(np.arange(rows.stop - rows.start)))
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """All rows at a state.
+
+    Attributes:
+        problem: The problem.
+        state: The state.
+        residual: (R, 3) reading minus model, base frame, m.
+        point: (R, 3) undeflected markers, base frame, m.
+        operators: The whitening of each part.
+        whitened: (K,) whitened residual.
+        upper: (m, p + 1) R factor of the whitened columns and residual; columns of what may not move are zero.
+        direct: (m, p) the same of the columns that decide on rank (`identify.model.Response.direct`).
+    """
+
+    problem: Problem
+    state: State
+    residual: Floats
+    point: Floats
+    operators: tuple[Whitening, ...]
+    whitened: Floats
+    upper: Floats
+    direct: Floats
+
+    @cached_property
+    def whitening(self) -> Whitening:
+        """Operators of all rows."""
+        return joined(self.operators, [part.rows.start for part in self.problem.parts])
+
+    @cached_property
+    def distances(self) -> Floats:
+        """(R,) see `identify.row_distances.row_distances`."""
+        own = instrument_covariance(self.problem.noise, self.point, station(self.problem.noise, self.state.base_T_measurement))
+        return row_distances(self.whitening, self.whitened, own, self.state.weights)
+
+    def stacks(self) -> Iterator[tuple[Whitening, Floats]]:
+        """The whitening of every part and its whitened columns (K_i, p), one after the other."""
+        for part, operators in zip(self.problem.parts, self.operators, strict=True):
+            columns = operators.apply(_response(self.problem, part, self.state).derivative)
+            columns[:, ~self.problem.free] = 0.0
+            yield operators, columns
+
+
+def station(noise: Noise, placement: Floats) -> Floats:
+    """The instrument in the base frame: as stated, else the origin of the measurement frame."""
+    if noise.tracker is not None and noise.tracker.station is not None and np.array_equal(placement, np.eye(4)):
+        return noise.tracker.station
+    origin: Floats = placement[:3, 3]
+    return origin
+
+
+def rows_at(problem: Problem, state: State) -> Rows:
+    """All rows at a state, with the triangles of their columns."""
+    residual, point = np.empty((2, *problem.data.positions.shape))
+    operators, whitened = [], []
+    upper = direct = np.zeros((0, 0))
+    for part in problem.parts:
+        response = _response(problem, part, state)
+        residual[part.rows], point[part.rows] = _residual(part, state, response), response.scene.point
+        operators.append(_operators(problem, part, state, response))
+        rows = np.concatenate([response.derivative[:, :, problem.chosen], residual[part.rows, :, None]], axis=2)
+        rows = operators[-1].apply(rows)
+        whitened.append(rows[:, -1].copy())
+        upper = enlarged(upper, rows)
+        if response.direct is not response.derivative:
+            direct = enlarged(direct, operators[-1].apply(response.direct[:, :, problem.chosen]))
+    upper = _spread(problem, upper)
+    direct = _spread(problem, direct)[:, :-1] if direct.size else upper[:, :-1]
+    return Rows(problem, state, residual, point, tuple(operators), np.concatenate(whitened), upper, direct)
+
+
+def stepped(rows: Rows, state: State, step: Floats) -> Rows:
+    """The rows after a step (p,) that leaves whitening and columns as they are."""
+    residual, whitened = np.empty_like(rows.residual), []
+    for part, operators in zip(rows.problem.parts, rows.operators, strict=True):
+        residual[part.rows] = _residual(part, state, _response(rows.problem, part, state, derivative=False))
+        whitened.append(operators.apply(residual[part.rows]))
+    upper = rows.upper.copy()
+    upper[:, -1] -= upper[:, :-1] @ step
+    return replace(rows, state=state, residual=residual, whitened=np.concatenate(whitened), upper=upper)
+
+
+def _response(problem: Problem, part: Part, state: State, *, derivative: bool = True) -> Response:
+    return respond(problem.model, part.data.experiment, state.values, derivative=derivative, wanted=problem.free)
+
+
+def _residual(part: Part, state: State, response: Response) -> Floats:
+    """(R_i, 3) reading minus model, base frame, m."""
+    placement = state.base_T_measurement
+    residual: Floats = part.data.positions @ placement[:3, :3].T + placement[:3, 3] - response.position
+    return residual
+
+
+def _operators(problem: Problem, part: Part, state: State, response: Response) -> Whitening:
+    """Whitening of a part."""
+    return whitening(
+        response.scene,
+        problem.noise,
+        station(problem.noise, state.base_T_measurement),
+        free_offsets=problem.free_offsets,
+        weights=state.weights[part.rows],
+    )
+
+
+def _spread(problem: Problem, upper: Floats) -> Floats:
+    """The columns of what may move, and what follows them, in the place of all p (+ 1)."""
+    full = np.zeros((len(upper), len(problem.free) + 1))
+    full[:, [*problem.chosen, len(problem.free)][: upper.shape[1]]] = upper
+    return full
