@@ -274,7 +274,7 @@ def _decided(rows: Rows) -> Identifiability:
     problem, whitened = rows.problem, rows.whitened
     spread = max(1.0, float(np.sqrt(whitened @ whitened / max(len(whitened), 1))))
     limits = np.array([parameter.limit for parameter in problem.model.parameters])
-    chosen = problem.chosen
+    chosen = np.flatnonzero(problem.free)
     found = independent_columns(rows.direct[:, chosen], limits[chosen], spread)
     return Identifiability(
         chosen[found.kept],

@@ -54,9 +54,11 @@ class LoadedScene(Scene):
         """(S, s) the torques of a named set of springs."""
         return self.exact[springs].torque
 
-    def moved_by(self, springs: SpringSet, yielded: Floats) -> Floats:
-        """(R, 3) motion of the markers where a set of springs yields by ``yielded`` (S, s) more, rad or m."""
-        moved: Floats = np.einsum("rsi,rs->ri", self.exact[springs].motion, yielded[self.experiment.row_shot])
+    def moved_by(self, springs: SpringSet, compliance: Floats) -> Floats:
+        """(R, 3) motion of the markers, m, where springs of ``compliance`` (s, s), SI, yield and all others follow."""
+        fields = self.exact[springs]
+        yielded = fields.torque @ compliance.T
+        moved: Floats = np.einsum("rsi,rs->ri", fields.motion, yielded[self.experiment.row_shot])
         return moved
 
 

@@ -17,7 +17,7 @@ from identify.robot import Robot
 from identify.study import Study
 from identify.units import MM, MRAD
 
-__all__ = ["Model", "Response", "deflected", "effect_columns", "model_of", "respond", "without_nuisance"]
+__all__ = ["Model", "Response", "deflected", "effect_columns", "model_of", "respond", "undeflected", "without_nuisance"]
 
 _MARKER_LIMIT = 5.0  # mm; markers are better known than this without any fit
 _NUDGE = 1e-3  # mm or mrad
@@ -158,6 +158,7 @@ def respond(
     *,
     derivative: bool = True,
     wanted: np.ndarray | None = None,
+    known: Scene | None = None,
 ) -> Response:
     """Where every row should be read, and how that depends on the parameters.
 
@@ -167,9 +168,10 @@ def respond(
         values: (p,) parameters in their units.
         derivative: Also compute the derivative.
         wanted: (p,) True for columns that are needed (all by default); others may be zero.
+        known: `undeflected` of this model and experiment, where it is at hand.
     """
     wanted = np.ones(len(model.parameters), dtype=bool) if wanted is None else wanted
-    scene, deflection = deflected(model, experiment, values)
+    scene, deflection = deflected(model, experiment, values, known=known)
     turn, shift = frame_displacement(model, values)
     position = (scene.point + deflection) @ turn.T + shift
     if not derivative:
@@ -186,7 +188,7 @@ def respond(
 
 
 def deflected(
-    model: Model, experiment: Experiment, values: Floats, tolerance: float = TOLERANCE
+    model: Model, experiment: Experiment, values: Floats, tolerance: float = TOLERANCE, known: Scene | None = None
 ) -> tuple[Scene, Floats]:
     """The scene on the adjusted robot and the (R, 3) displacement that all effects add, m.
 
@@ -195,17 +197,32 @@ def deflected(
         experiment: The conditions.
         values: (p,) parameters in their units.
         tolerance: Of the loaded equilibrium, rad or m.
+        known: `undeflected` of this model and experiment, where it is at hand.
     """
+    if known is None:
+        scene = _scene(model, experiment, values)
+    else:
+        scene = known.with_markers(marker_positions(model, experiment, values))
+    return _yielding(model, scene, values, tolerance)
+
+
+def undeflected(model: Model, experiment: Experiment) -> Scene | None:
+    """The scene that all values of the parameters have in common but for their markers; None if they change the arm."""
+    if any(effect.adjust is not None or effect.reload is not None for effect in model.effects):
+        return None
+    return _scene(model, experiment, model.nominal)
+
+
+def _scene(model: Model, experiment: Experiment, values: Floats) -> Scene:
+    """The undeflected scene on the adjusted robot."""
     robot = model.robot
-    pairs = tuple(zip(model.effects, model.effect_slices, strict=True))
-    for effect, where in pairs:
+    for effect, where in zip(model.effects, model.effect_slices, strict=True):
         if effect.adjust is not None:
             robot = effect.adjust(robot, values[where])
         if effect.reload is not None:
             experiment = effect.reload(experiment, values[where])
     markers = marker_positions(model, experiment, values)
-    scene = build_scene(experiment, forward(robot, experiment.q), markers, self_weight=model.self_weight)
-    return _yielding(model, scene, values, tolerance)
+    return build_scene(experiment, forward(robot, experiment.q), markers, self_weight=model.self_weight)
 
 
 def _yielding(model: Model, scene: Scene, values: Floats, tolerance: float = TOLERANCE) -> tuple[Scene, Floats]:

@@ -48,7 +48,9 @@ class Whitening:
     def blocks(self, rows: Floats) -> Iterator[Floats]:
         """The same by groups: (G, k) or (G, k, p)."""
         for index, operator in self.groups:
-            taken = rows[index].reshape(len(index), 3 * index.shape[1], -1)
+            together = index.size and index[-1, -1] - index[0, 0] == index.size - 1  # a view, not a copy
+            chosen = rows[index[0, 0] : index[-1, -1] + 1] if together else rows[index]
+            taken = chosen.reshape(len(index), 3 * index.shape[1], -1)
             block = operator @ taken
             if self.cancels:
                 size = np.linalg.norm(block, axis=(0, 1))

@@ -13,9 +13,10 @@ from functools import cached_property
 import numpy as np
 
 from identify.arrays import Floats, Ints
+from identify.effects import Scene
 from identify.experiment import Measurements
 from identify.identifiability import enlarged
-from identify.model import Model, Response, respond
+from identify.model import Model, Response, respond, undeflected
 from identify.noise import Whitening, instrument_covariance, joined, whitening
 from identify.row_distances import row_distances
 from identify.selection import take_rows
@@ -48,10 +49,12 @@ class Part:
     Attributes:
         rows: Which rows of the data they are.
         data: These rows, with their own shots and poses.
+        scene: The arm under its loads, where no parameter changes it.
     """
 
     rows: slice
     data: Measurements
+    scene: Scene | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +78,11 @@ class Problem:
     parts: tuple[Part, ...]
 
     @cached_property
-    def chosen(self) -> Ints:
-        """Indices of the parameters that may move."""
-        return np.flatnonzero(self.free)
+    def chosen(self) -> slice | Ints:
+        """The parameters that may move; a slice where they stand together, which takes no copy of their columns."""
+        found = np.flatnonzero(self.free)
+        together = len(found) > 0 and found[-1] - found[0] == len(found) - 1
+        return slice(int(found[0]), int(found[-1]) + 1) if together else found
 
     @cached_property
     def linear(self) -> bool:
@@ -91,13 +96,16 @@ def problem_of(model: Model, data: Measurements, noise: Noise, free_offsets: boo
     """The problem with its rows cut into parts of whole visits."""
     visit = data.experiment.row_visit
     count = len(visit)
-    if count <= 2 * _ROWS:
-        return Problem(model, data, noise, free_offsets, free, (Part(slice(0, count), data),))
     starts = np.flatnonzero(np.diff(visit, prepend=-1))
     cuts = np.unique(starts[np.searchsorted(starts, np.arange(0, count, _ROWS), side="right") - 1])
     slices = [slice(int(a), int(b)) for a, b in zip(cuts, [*cuts[1:], count], strict=True)]
-    parts = tuple(Part(rows, _rows_alone(data, rows)) for rows in slices)
-    return Problem(model, data, noise, free_offsets, free, parts)
+    return Problem(model, data, noise, free_offsets, free, tuple(_part(model, data, rows) for rows in slices))
+
+
+def _part(model: Model, data: Measurements, rows: slice) -> Part:
+    """Some rows without the shots and poses of the others."""
+    inside = data if rows.stop - rows.start == len(data.positions) else _rows_alone(data, rows)
+    return Part(rows, inside, undeflected(model, inside.experiment))
 
 
 def _rows_alone(data: Measurements, rows: slice) -> Measurements:
@@ -166,10 +174,9 @@ def rows_at(problem: Problem, state: State) -> Rows:
         response = _response(problem, part, state)
         residual[part.rows], point[part.rows] = _residual(part, state, response), response.scene.point
         operators.append(_operators(problem, part, state, response))
-        rows = np.concatenate([response.derivative[:, :, problem.chosen], residual[part.rows, :, None]], axis=2)
-        rows = operators[-1].apply(rows)
-        whitened.append(rows[:, -1].copy())
-        upper = enlarged(upper, rows)
+        whitened.append(operators[-1].apply(residual[part.rows]))
+        columns = operators[-1].apply(response.derivative[:, :, problem.chosen])
+        upper = enlarged(upper, np.column_stack([columns, whitened[-1]]))
         if response.direct is not response.derivative:
             direct = enlarged(direct, operators[-1].apply(response.direct[:, :, problem.chosen]))
     upper = _spread(problem, upper)
@@ -189,7 +196,8 @@ def stepped(rows: Rows, state: State, step: Floats) -> Rows:
 
 
 def _response(problem: Problem, part: Part, state: State, *, derivative: bool = True) -> Response:
-    return respond(problem.model, part.data.experiment, state.values, derivative=derivative, wanted=problem.free)
+    experiment, free = part.data.experiment, problem.free
+    return respond(problem.model, experiment, state.values, derivative=derivative, wanted=free, known=part.scene)
 
 
 def _residual(part: Part, state: State, response: Response) -> Floats:
@@ -213,5 +221,6 @@ def _operators(problem: Problem, part: Part, state: State, response: Response) -
 def _spread(problem: Problem, upper: Floats) -> Floats:
     """The columns of what may move, and what follows them, in the place of all p (+ 1)."""
     full = np.zeros((len(upper), len(problem.free) + 1))
-    full[:, [*problem.chosen, len(problem.free)][: upper.shape[1]]] = upper
+    where = np.append(problem.free, upper.shape[1] > problem.free.sum())
+    full[:, where] = upper
     return full

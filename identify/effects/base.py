@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -107,6 +107,18 @@ class Fields:
     torque: Floats
 
 
+class _Arm(NamedTuple):
+    """What a scene knows of the arm itself, kept when it was asked for.
+
+    Attributes:
+        springs: Springs of all poses and their torques (S, s).
+        twists: The last compliance (s, s) and the twists (S, 6) of the flange that it lets happen.
+    """
+
+    springs: dict[SpringSet, tuple[Springs, Floats]]
+    twists: dict[SpringSet, tuple[Floats, Floats]]
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """An experiment on a robot; the fields of its springs are computed when they are first asked for.
@@ -158,13 +170,17 @@ class Scene:
         """(S, s) the torques of a named set of springs, without the motion of any marker."""
         return self._loaded(springs)[1]
 
-    def moved_by(self, springs: SpringSet, yielded: Floats) -> Floats:
-        """(R, 3) motion of the markers where a set of springs yields by ``yielded`` (S, s), rad or m.
+    def moved_by(self, springs: SpringSet, compliance: Floats) -> Floats:
+        """(R, 3) motion of the markers, m, where springs of ``compliance`` (s, s), SI, yield to their torques.
 
         The flange moves as a rigid body, so that one twist a shot serves all its markers.
         """
-        experiment = self.experiment
-        rows = twist(self._loaded(springs)[0], experiment.shot_pose, yielded)[experiment.row_shot]
+        experiment, (axes, torque) = self.experiment, self._loaded(springs)
+        known = self._arm.twists.get(springs)
+        if known is None or not np.array_equal(known[0], compliance):
+            known = compliance, twist(axes, experiment.shot_pose, torque @ compliance.T)
+            self._arm.twists[springs] = known
+        rows = known[1][experiment.row_shot]
         moved = rows[:, :3] + cross(rows[:, 3:], self.point)
         moved[experiment.markers.on_base[experiment.row_marker]] = 0.0
         return moved
@@ -172,23 +188,23 @@ class Scene:
     def with_markers(self, positions: Floats) -> Scene:
         """The same arm under the same loads, undeflected, with markers elsewhere: (M, 3) in their own frames, m."""
         other = Scene(self.experiment, self.frames, _points(self.experiment, self.frames, positions), self.self_weight)
-        other._known.update(self._known)
+        vars(other)["_arm"] = self._arm  # what is known of the arm depends on no marker
         return other
 
     @cached_property
-    def _known(self) -> dict[str, tuple[Springs, Floats]]:
-        """Springs and torques that were asked for; no marker has a part in them."""
-        return {}
+    def _arm(self) -> _Arm:
+        """What was computed of the arm so far."""
+        return _Arm({}, {})
 
     def _loaded(self, name: SpringSet) -> tuple[Springs, Floats]:
         """A set of springs in all poses, and its torques (S, s)."""
-        if name not in self._known:
+        if name not in self._arm.springs:
             springs = _SPRINGS[name](self.frames)
             torque = _load_torque(self.experiment, self.frames, _SPRINGS[name])
             if self.self_weight:
                 torque += self_weight_torque(springs, self.frames)[self.experiment.shot_pose]
-            self._known[name] = springs, torque
-        return self._known[name]
+            self._arm.springs[name] = springs, torque
+        return self._arm.springs[name]
 
     def _fields(self, name: SpringSet) -> Fields:
         springs, torque = self._loaded(name)

@@ -42,18 +42,19 @@ def spring_effect(name: str, terms: tuple[Term, ...], springs: SpringSet, why_ze
 
     def derivative(scene: Scene, values: Floats) -> Floats:
         fields, shot = scene.fields(springs), scene.experiment.row_shot
-        columns = fields.motion[:, first] * (fields.torque[:, second] * scale)[shot][:, :, None]
+        motion = np.ascontiguousarray(fields.motion.swapaxes(1, 2))
+        columns: Floats = motion[:, :, first] * (fields.torque[:, second] * scale)[shot][:, None]
         if len(mutual):
-            back = (fields.torque[:, first[mutual]] * scale[mutual])[shot][:, :, None]
-            columns[:, mutual] += fields.motion[:, second[mutual]] * back
-        return np.asarray(columns.swapaxes(1, 2))
+            back = (fields.torque[:, first[mutual]] * scale[mutual])[shot][:, None]
+            columns[:, :, mutual] += motion[:, :, second[mutual]] * back
+        return columns
 
     def displacement(scene: Scene, values: Floats) -> Floats:
-        torque, size = scene.torque(springs), scale * values
-        compliance = np.zeros((torque.shape[1],) * 2)
+        size = scale * values
+        compliance = np.zeros((scene.torque(springs).shape[1],) * 2)
         np.add.at(compliance, (first, second), size)
         np.add.at(compliance, (second[mutual], first[mutual]), size[mutual])
-        return scene.moved_by(springs, torque @ compliance.T)
+        return scene.moved_by(springs, compliance)
 
     return Effect(name, parameters, displacement, derivative, why_zero, linear=True, springs=springs, terms=terms)
 
