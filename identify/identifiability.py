@@ -14,7 +14,7 @@ import numpy as np
 from identify.arrays import Floats, Ints
 from identify.model import Model
 
-__all__ = ["TOLERANCE", "Dropped", "Identifiability", "enlarged", "independent_columns", "triangle", "why_not"]
+__all__ = ["TOLERANCE", "Dropped", "Identifiability", "independent_columns", "triangle", "why_not"]
 
 TOLERANCE = 1e-9
 _CHUNK = 100_000
@@ -62,14 +62,10 @@ def triangle(parts: Iterable[Floats]) -> Floats:
     upper = np.zeros((0, 0))
     for part in parts:
         for start in range(0, max(len(part), 1), _CHUNK):
-            upper = enlarged(upper, part[start : start + _CHUNK])
+            rows = part[start : start + _CHUNK]
+            stacked = np.vstack([upper, rows]) if upper.size else rows
+            upper = np.asarray(np.linalg.qr(stacked, mode="r"))
     return upper
-
-
-def enlarged(upper: Floats, rows: Floats) -> Floats:
-    """R factor of rows (K, p) stacked under others, of which only the R factor is known (empty: there are none)."""
-    stacked = np.vstack([upper, rows]) if upper.size else rows
-    return np.asarray(np.linalg.qr(stacked, mode="r"))
 
 
 def independent_columns(upper: Floats, limits: Floats | None = None, spread: float = 1.0) -> Identifiability:

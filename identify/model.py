@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class Model:
     self_weight: bool
     loaded: bool = False
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return tuple(parameter.name for parameter in self.parameters)
@@ -62,14 +63,14 @@ class Model:
         """(p,) True for frame and markers."""
         return np.array([parameter.nuisance for parameter in self.parameters], dtype=bool)
 
-    @property
+    @cached_property
     def effect_slices(self) -> tuple[slice, ...]:
         """Where each effect's parameters stand."""
         sizes = [len(effect.parameters) for effect in self.effects]
         ends = self.frame_size + self.marker_size + np.cumsum(sizes)
         return tuple(slice(int(end) - size, int(end)) for end, size in zip(ends, sizes, strict=True))
 
-    @property
+    @cached_property
     def effect_inputs(self) -> tuple[Ints, ...]:
         """Where the values stand that each effect takes: its own parameters, then those it borrows."""
         names = self.names

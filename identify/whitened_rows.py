@@ -6,25 +6,33 @@ accumulated over parts of some thousand rows, so that the columns of all rows ar
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from identify.arrays import Floats, Ints
 from identify.effects import Scene
 from identify.experiment import Measurements
-from identify.identifiability import enlarged
+from identify.identifiability import triangle
 from identify.model import Model, Response, respond, undeflected
 from identify.noise import Whitening, instrument_covariance, joined, whitening
 from identify.row_distances import row_distances
 from identify.selection import take_rows
 from identify.study import Noise
+from identify.threads import one_thread
 
 __all__ = ["Part", "Problem", "Rows", "State", "problem_of", "rows_at", "station", "stepped"]
 
 _ROWS = 2048  # of a part: its columns stay in cache
+_SERIAL = 8  # parts below which threads do not pay
+_THREADS = 2
+
+T = TypeVar("T")
+U = TypeVar("U")
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +107,8 @@ def problem_of(model: Model, data: Measurements, noise: Noise, free_offsets: boo
     starts = np.flatnonzero(np.diff(visit, prepend=-1))
     cuts = np.unique(starts[np.searchsorted(starts, np.arange(0, count, _ROWS), side="right") - 1])
     slices = [slice(int(a), int(b)) for a, b in zip(cuts, [*cuts[1:], count], strict=True)]
-    return Problem(model, data, noise, free_offsets, free, tuple(_part(model, data, rows) for rows in slices))
+    parts = _each(slices, lambda rows: _part(model, data, rows))
+    return Problem(model, data, noise, free_offsets, free, tuple(parts))
 
 
 def _part(model: Model, data: Measurements, rows: slice) -> Part:
@@ -165,39 +174,70 @@ def station(noise: Noise, placement: Floats) -> Floats:
     return origin
 
 
+class _Look(NamedTuple):
+    """One part at a state: as in `Rows`."""
+
+    residual: Floats
+    point: Floats
+    operators: Whitening
+    whitened: Floats
+    upper: Floats
+    direct: Floats | None
+
+
 def rows_at(problem: Problem, state: State) -> Rows:
     """All rows at a state, with the triangles of their columns."""
-    residual, point = np.empty((2, *problem.data.positions.shape))
-    operators, whitened = [], []
-    upper = direct = np.zeros((0, 0))
-    for part in problem.parts:
-        response = _response(problem, part, state)
-        residual[part.rows], point[part.rows] = _residual(part, state, response), response.scene.point
-        operators.append(_operators(problem, part, state, response))
-        whitened.append(operators[-1].apply(residual[part.rows]))
-        columns = operators[-1].apply(response.derivative[:, :, problem.chosen])
-        upper = enlarged(upper, np.column_stack([columns, whitened[-1]]))
-        if response.direct is not response.derivative:
-            direct = enlarged(direct, operators[-1].apply(response.direct[:, :, problem.chosen]))
-    upper = _spread(problem, upper)
-    direct = _spread(problem, direct)[:, :-1] if direct.size else upper[:, :-1]
-    return Rows(problem, state, residual, point, tuple(operators), np.concatenate(whitened), upper, direct)
+    looks = _each(problem.parts, lambda part: _look(problem, part, state))
+    residual, point, operators, whitened, uppers, directs = zip(*looks, strict=True)
+    upper = _spread(problem, triangle(uppers))
+    direct = [part for part in directs if part is not None]
+    return Rows(
+        problem,
+        state,
+        np.concatenate(residual),
+        np.concatenate(point),
+        operators,
+        np.concatenate(whitened),
+        upper,
+        _spread(problem, triangle(direct)) if direct else upper[:, :-1],
+    )
+
+
+def _look(problem: Problem, part: Part, state: State) -> _Look:
+    """One part at a state."""
+    response = _response(problem, part, state)
+    residual, operators = _residual(part, state, response), _operators(problem, part, state, response)
+    whitened = operators.apply(residual)
+    columns = operators.apply(response.derivative[:, :, problem.chosen])
+    upper = triangle([np.column_stack([columns, whitened])])
+    direct = None
+    if response.direct is not response.derivative:
+        direct = triangle([operators.apply(response.direct[:, :, problem.chosen])])
+    return _Look(residual, response.scene.point, operators, whitened, upper, direct)
 
 
 def stepped(rows: Rows, state: State, step: Floats) -> Rows:
     """The rows after a step (p,) that leaves whitening and columns as they are."""
-    residual, whitened = np.empty_like(rows.residual), []
-    for part, operators in zip(rows.problem.parts, rows.operators, strict=True):
-        residual[part.rows] = _residual(part, state, _response(rows.problem, part, state, derivative=False))
-        whitened.append(operators.apply(residual[part.rows]))
+    problem = rows.problem
+    residuals = _each(problem.parts, lambda part: _residual(part, state, _response(problem, part, state, columns=False)))
+    whitened = [operators.apply(part) for operators, part in zip(rows.operators, residuals, strict=True)]
     upper = rows.upper.copy()
     upper[:, -1] -= upper[:, :-1] @ step
+    residual = np.concatenate(residuals)
     return replace(rows, state=state, residual=residual, whitened=np.concatenate(whitened), upper=upper)
 
 
-def _response(problem: Problem, part: Part, state: State, *, derivative: bool = True) -> Response:
+def _each(parts: Sequence[T], work: Callable[[T], U]) -> list[U]:
+    """Do the same for every part, for large data on two threads; order and numbers do not depend on that."""
+    if len(parts) < _SERIAL:
+        return [work(part) for part in parts]
+    with one_thread(), ThreadPoolExecutor(_THREADS) as pool:
+        return list(pool.map(work, parts))
+
+
+def _response(problem: Problem, part: Part, state: State, *, columns: bool = True) -> Response:
     experiment, free = part.data.experiment, problem.free
-    return respond(problem.model, experiment, state.values, derivative=derivative, wanted=free, known=part.scene)
+    return respond(problem.model, experiment, state.values, derivative=columns, wanted=free, known=part.scene)
 
 
 def _residual(part: Part, state: State, response: Response) -> Floats:

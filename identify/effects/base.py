@@ -170,17 +170,33 @@ class Scene:
         """(S, s) the torques of a named set of springs, without the motion of any marker."""
         return self._loaded(springs)[1]
 
+    @property
+    def joint_torque(self) -> Floats:
+        """(S, n) torques of the joints of the undeflected arm."""
+        return self._loaded("joints")[1]
+
+    def turned(self, joint: int, angle: Floats) -> Floats:
+        """(R, 3) motion of the markers, m, where a joint of the undeflected arm yields by ``angle`` (S,), rad or m."""
+        yielded = np.zeros((len(angle), self.frames.robot.n))
+        yielded[:, joint] = angle
+        return self._carried(twist(self._loaded("joints")[0], self.experiment.shot_pose, yielded))
+
     def moved_by(self, springs: SpringSet, compliance: Floats) -> Floats:
         """(R, 3) motion of the markers, m, where springs of ``compliance`` (s, s), SI, yield to their torques.
 
         The flange moves as a rigid body, so that one twist a shot serves all its markers.
         """
-        experiment, (axes, torque) = self.experiment, self._loaded(springs)
         known = self._arm.twists.get(springs)
         if known is None or not np.array_equal(known[0], compliance):
-            known = compliance, twist(axes, experiment.shot_pose, torque @ compliance.T)
+            axes, torque = self._loaded(springs)
+            known = compliance, twist(axes, self.experiment.shot_pose, torque @ compliance.T)
             self._arm.twists[springs] = known
-        rows = known[1][experiment.row_shot]
+        return self._carried(known[1])
+
+    def _carried(self, twists: Floats) -> Floats:
+        """(R, 3) what twists (S, 6) of the flange do to the undeflected markers."""
+        experiment = self.experiment
+        rows = twists[experiment.row_shot]
         moved = rows[:, :3] + cross(rows[:, 3:], self.point)
         moved[experiment.markers.on_base[experiment.row_marker]] = 0.0
         return moved

@@ -94,7 +94,7 @@ def gravity_compensator(binding: Binding) -> Effect:
         moved = np.zeros_like(scene.point)
         for part, index in zip(parts, inputs, strict=True):
             angle, _ = _turn(part, scene, values[index])
-            moved += scene.joints.motion[:, part.joint] * angle[scene.experiment.row_shot, None]
+            moved += scene.turned(part.joint, angle)
         return moved
 
     def derivative(scene: Scene, values: Floats) -> Floats:
@@ -124,7 +124,7 @@ def gravity_compensator(binding: Binding) -> Effect:
 def _turn(part: _Part, scene: Scene, values: Floats) -> tuple[Floats, Floats]:
     """Angle and slopes of a part in every shot."""
     experiment, joint = scene.experiment, part.joint
-    return part.turn(scene.joints.torque[:, joint], experiment.q[experiment.shot_pose, joint], values)
+    return part.turn(scene.joint_torque[:, joint], experiment.q[experiment.shot_pose, joint], values)
 
 
 def _part(binding: Binding, joint: int) -> _Part:

@@ -43,10 +43,12 @@ def spring_effect(name: str, terms: tuple[Term, ...], springs: SpringSet, why_ze
     def derivative(scene: Scene, values: Floats) -> Floats:
         fields, shot = scene.fields(springs), scene.experiment.row_shot
         motion = np.ascontiguousarray(fields.motion.swapaxes(1, 2))
-        columns: Floats = motion[:, :, first] * (fields.torque[:, second] * scale)[shot][:, None]
+        columns: Floats = motion.take(first, axis=2)
+        columns *= (fields.torque[:, second] * scale)[shot][:, None]
         if len(mutual):
-            back = (fields.torque[:, first[mutual]] * scale[mutual])[shot][:, None]
-            columns[:, :, mutual] += motion[:, :, second[mutual]] * back
+            back = motion.take(second[mutual], axis=2)
+            back *= (fields.torque[:, first[mutual]] * scale[mutual])[shot][:, None]
+            columns[:, :, mutual] += back
         return columns
 
     def displacement(scene: Scene, values: Floats) -> Floats:
