@@ -25,7 +25,7 @@ from identify.model import Model, Response, frame_displacement, respond
 from identify.noise import Whitening
 from identify.row_distances import one_of_two, robust_scale
 from identify.study import Noise
-from identify.whitened_rows import Problem, Rows, State, problem_of, rows_at, stepped
+from identify.whitened_rows import Part, Problem, Rows, State, parts_of, rows_at, stepped
 
 __all__ = ["OUTLYING", "Fit", "State", "absorb_frame", "fit", "start"]
 
@@ -157,6 +157,7 @@ def fit(
     *,
     free_offsets: bool = False,
     fitted: np.ndarray | None = None,
+    parts: tuple[Part, ...] | None = None,
 ) -> Fit:
     """Fit the parameters of a model.
 
@@ -167,12 +168,13 @@ def fit(
         state: Where to start (`start`).
         free_offsets: Only changes within a visit inform (reference ``differences``).
         fitted: (p,) True for parameters to move; all by default.
+        parts: The rows in parts, from another fit of this model to these data.
 
     Raises:
         NoConvergence: No convergence in the allowed steps; ``best`` holds the last fit.
     """
     free = np.ones(len(model.parameters), dtype=bool) if fitted is None else fitted
-    problem = problem_of(model, data, noise, free_offsets, free)
+    problem = Problem(model, data, noise, free_offsets, free, parts or parts_of(model, data))
     found = _evaluate(problem, state)
     for _ in range(_MAX_REWEIGHTS):
         weights = _weights(found)
@@ -224,13 +226,15 @@ def _held(problem: Problem, found: Fit) -> Fit:
 
 def _gauss_newton(current: Fit, steps: int) -> Fit:
     """Steps for the parameters that are kept, damped (Marquardt) only where the plain step does not descend."""
-    damping = 0.0
+    damping, rate, before = 0.0, 1.0, 0.0
     for _ in range(steps):
         step, size = _step(current, damping)
         spread = max(1.0, (current.chi2 / max(current.dof, 1)) ** 0.5)
         if size < _STEP * spread:
             return current
-        trial = _trial(current, step, spread)
+        rate, before = min(size / before, 1.0) if before else rate, size
+        left = max(0.0 if current.rows.problem.linear else rate * size, _EXACT * current.chi2**0.5)
+        trial = _trial(current, step, last=left < 0.1 * _STEP * spread)
         if _chi2_seen_from(current, trial) < current.chi2 * (1.0 + _ROUNDING):
             current, damping = trial, damping / 100 if damping > 1e-8 else 0.0
         elif size**2 < 10 * _ROUNDING * current.chi2:
@@ -246,12 +250,11 @@ def _gauss_newton(current: Fit, steps: int) -> Fit:
     )
 
 
-def _trial(current: Fit, step: Floats, spread: float) -> Fit:
-    """The fit after a step; where the model is linear and rounding allows, its columns need no second look."""
-    problem, state = current.rows.problem, _moved(current, step)
-    if problem.linear and _EXACT * np.sqrt(current.chi2) < _STEP * spread:
-        return Fit(stepped(current.rows, state, step), current.identifiability)
-    return Fit(rows_at(problem, state), current.identifiability)
+def _trial(current: Fit, step: Floats, *, last: bool) -> Fit:
+    """The fit after a step; after the last one nothing is left to gain from another look at the columns."""
+    state = _moved(current, step)
+    rows = stepped(current.rows, state, step) if last else rows_at(current.rows.problem, state)
+    return Fit(rows, current.identifiability)
 
 
 def _chi2_seen_from(current: Fit, trial: Fit) -> float:

@@ -18,6 +18,7 @@ from identify.model import Model, model_of, respond
 from identify.selection import load_changes, rows_of_visits, take_rows
 from identify.study import Study
 from identify.uncertainty import load_share, stated_covariance, visit_covariance
+from identify.whitened_rows import parts_of
 
 __all__ = ["Heldout", "Identification", "Misfit", "fit_differences", "heldout_misfit", "identify", "misfit_of"]
 
@@ -212,14 +213,18 @@ def _compares_loads(data: Measurements) -> bool:
 def fit_differences(study: Study, model: Model, data: Measurements, state: State | None = None) -> Fit:
     """Effects from changes within visits, frame and markers from the visits' offsets, in turn until both stand."""
     state = state or start(model, data)
-    nuisance = model.nuisance
-    found = fit(model, data, study.noise, _plain(state, model), free_offsets=True, fitted=~nuisance)
+    nuisance, parts = model.nuisance, parts_of(model, data)
+
+    def changes(begin: State) -> Fit:
+        return fit(model, data, study.noise, begin, free_offsets=True, fitted=~nuisance, parts=parts)
+
+    found = changes(_plain(state, model))
     if not nuisance.any():
         return found
     for _ in range(_ALTERNATIONS):
-        placed = fit(model, data, study.noise, found.state, fitted=nuisance)
+        placed = fit(model, data, study.noise, found.state, fitted=nuisance, parts=parts)
         before = found.state
-        found = fit(model, data, study.noise, _with_weights(placed.state, before), free_offsets=True, fitted=~nuisance)
+        found = changes(_with_weights(placed.state, before))
         moved = np.abs(found.state.values - before.values)[~nuisance]
         if (moved <= 1e-9 * np.abs(found.state.values[~nuisance])).all():
             break
@@ -277,7 +282,8 @@ def _offsets_share(found: Fit, study: Study) -> tuple[Floats, Ints]:
     """Covariance (p, p) and kept indices of frame and markers where the fit to changes left them out."""
     if found.fitted.all():
         return np.zeros((len(found.fitted),) * 2), found.identifiability.kept
-    placed = fit(found.model, found.data, study.noise, found.state, fitted=~found.fitted)
+    parts = found.rows.problem.parts
+    placed = fit(found.model, found.data, study.noise, found.state, fitted=~found.fitted, parts=parts)
     kept = np.union1d(found.identifiability.kept, placed.identifiability.kept)
     return visit_covariance(placed)[0], kept
 
