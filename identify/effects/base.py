@@ -23,13 +23,12 @@ from identify.robot import Robot
 from identify.springs import (
     Springs,
     base_springs,
-    cross,
+    carry,
     joint_springs,
     link_springs,
     load_torque,
-    motion,
+    screws,
     self_weight_torque,
-    twist,
 )
 
 __all__ = ["Binding", "Effect", "Fields", "Parameter", "Scene", "SpringSet", "Term", "build_scene"]
@@ -111,11 +110,11 @@ class _Arm(NamedTuple):
     """What a scene knows of the arm itself, kept when it was asked for.
 
     Attributes:
-        springs: Springs of all poses and their torques (S, s).
+        springs: Screws (C, 6, s) of all poses (`identify.springs.screws`) and torques (S, s).
         twists: The last compliance (s, s) and the twists (S, 6) of the flange that it lets happen.
     """
 
-    springs: dict[SpringSet, tuple[Springs, Floats]]
+    springs: dict[SpringSet, tuple[Floats, Floats]]
     twists: dict[SpringSet, tuple[Floats, Floats]]
 
 
@@ -179,7 +178,7 @@ class Scene:
         """(R, 3) motion of the markers, m, where a joint of the undeflected arm yields by ``angle`` (S,), rad or m."""
         yielded = np.zeros((len(angle), self.frames.robot.n))
         yielded[:, joint] = angle
-        return self._carried(twist(self._loaded("joints")[0], self.experiment.shot_pose, yielded))
+        return self._carried(self._twists("joints", yielded))
 
     def moved_by(self, springs: SpringSet, compliance: Floats) -> Floats:
         """(R, 3) motion of the markers, m, where springs of ``compliance`` (s, s), SI, yield to their torques.
@@ -188,16 +187,19 @@ class Scene:
         """
         known = self._arm.twists.get(springs)
         if known is None or not np.array_equal(known[0], compliance):
-            axes, torque = self._loaded(springs)
-            known = compliance, twist(axes, self.experiment.shot_pose, torque @ compliance.T)
+            known = compliance, self._twists(springs, self._loaded(springs)[1] @ compliance.T)
             self._arm.twists[springs] = known
         return self._carried(known[1])
+
+    def _twists(self, springs: SpringSet, yielded: Floats) -> Floats:
+        """(S, 6) twists of the flange where springs yield by (S, s)."""
+        every = self._loaded(springs)[0][self.experiment.shot_pose]
+        return np.asarray((every @ yielded[:, :, None])[:, :, 0])
 
     def _carried(self, twists: Floats) -> Floats:
         """(R, 3) what twists (S, 6) of the flange do to the undeflected markers."""
         experiment = self.experiment
-        rows = twists[experiment.row_shot]
-        moved = rows[:, :3] + cross(rows[:, 3:], self.point)
+        moved = carry(twists[experiment.row_shot, :, None], self.point[:, None])[:, 0, :, 0]
         moved[experiment.markers.on_base[experiment.row_marker]] = 0.0
         return moved
 
@@ -212,21 +214,21 @@ class Scene:
         """What was computed of the arm so far."""
         return _Arm({}, {})
 
-    def _loaded(self, name: SpringSet) -> tuple[Springs, Floats]:
-        """A set of springs in all poses, and its torques (S, s)."""
+    def _loaded(self, name: SpringSet) -> tuple[Floats, Floats]:
+        """Screws (C, 6, s) of a set of springs in all poses, and its torques (S, s)."""
         if name not in self._arm.springs:
             springs = _SPRINGS[name](self.frames)
             torque = _load_torque(self.experiment, self.frames, _SPRINGS[name])
             if self.self_weight:
                 torque += self_weight_torque(springs, self.frames)[self.experiment.shot_pose]
-            self._arm.springs[name] = springs, torque
+            self._arm.springs[name] = screws(springs), torque
         return self._arm.springs[name]
 
     def _fields(self, name: SpringSet) -> Fields:
-        springs, torque = self._loaded(name)
-        moves = motion(springs, self.marker)
+        every, torque = self._loaded(name)
+        moves = carry(every, self.marker)
         moves[:, self.experiment.markers.on_base] = 0.0
-        return Fields(moves[self.row_pose, self.experiment.row_marker], torque)
+        return Fields(moves[self.row_pose, self.experiment.row_marker].swapaxes(1, 2), torque)
 
 
 Displacement = Callable[[Scene, Floats], Floats]

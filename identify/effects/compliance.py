@@ -42,7 +42,7 @@ def spring_effect(name: str, terms: tuple[Term, ...], springs: SpringSet, why_ze
 
     def derivative(scene: Scene, values: Floats) -> Floats:
         fields, shot = scene.fields(springs), scene.experiment.row_shot
-        motion = np.ascontiguousarray(fields.motion.swapaxes(1, 2))
+        motion = fields.motion.swapaxes(1, 2)
         columns: Floats = motion.take(first, axis=2)
         columns *= (fields.torque[:, second] * scale)[shot][:, None]
         if len(mutual):
