@@ -25,12 +25,13 @@ from identify.model import Model, Response, frame_displacement, respond
 from identify.noise import Whitening
 from identify.row_distances import one_of_two, robust_scale
 from identify.study import Noise
-from identify.whitened_rows import Part, Problem, Rows, State, parts_of, rows_at, stepped
+from identify.whitened_rows import Problem, Rows, State, parts_of, rows_at, stepped
 
-__all__ = ["OUTLYING", "Fit", "State", "absorb_frame", "fit", "start"]
+__all__ = ["OUTLYING", "Fit", "State", "absorb_frame", "fit", "settled_with", "start"]
 
 OUTLYING = 7.0  # P(chi(3) > 7) = 1.3e-10; model errors of real robots reach 6 robust sigmas
 _STEP = 1e-8  # converged when no step moves the fit by more than this many sigmas
+_SURELY = 0.1  # of this, where it is only foreseen
 _NEARLY = 1e-4  # good enough where rounding does not let it come closer
 _FIRST_STEPS = 3  # before rows are judged anew
 _MAX_STEPS = 60
@@ -47,10 +48,14 @@ class Fit:
     Attributes:
         rows: All rows at the solution, and the problem.
         identifiability: Kept and dropped parameters (indices of all p).
+        went: How far the fit went from its start, in sigmas: the length of its longest step.
+        rate: How much shorter each step came out than the one before it.
     """
 
     rows: Rows
     identifiability: Identifiability
+    went: float = 0.0
+    rate: float = 1.0
 
     @property
     def model(self) -> Model:
@@ -157,7 +162,7 @@ def fit(
     *,
     free_offsets: bool = False,
     fitted: np.ndarray | None = None,
-    parts: tuple[Part, ...] | None = None,
+    like: Fit | None = None,
 ) -> Fit:
     """Fit the parameters of a model.
 
@@ -168,14 +173,17 @@ def fit(
         state: Where to start (`start`).
         free_offsets: Only changes within a visit inform (reference ``differences``).
         fitted: (p,) True for parameters to move; all by default.
-        parts: The rows in parts, from another fit of this model to these data.
+        like: Another fit of this model to these data, whose rows are in parts already.
 
     Raises:
         NoConvergence: No convergence in the allowed steps; ``best`` holds the last fit.
     """
     free = np.ones(len(model.parameters), dtype=bool) if fitted is None else fitted
-    problem = Problem(model, data, noise, free_offsets, free, parts or parts_of(model, data))
+    parts = parts_of(model, data) if like is None else like.rows.problem.parts
+    problem = Problem(model, data, noise, free_offsets, free, parts)
     found = _evaluate(problem, state)
+    if like is not None and np.array_equal(like.fitted, free):
+        found = replace(found, rate=like.rate)
     for _ in range(_MAX_REWEIGHTS):
         weights = _weights(found)
         if _differ(weights, found.state.weights):
@@ -226,15 +234,16 @@ def _held(problem: Problem, found: Fit) -> Fit:
 
 def _gauss_newton(current: Fit, steps: int) -> Fit:
     """Steps for the parameters that are kept, damped (Marquardt) only where the plain step does not descend."""
-    damping, rate, before = 0.0, 1.0, 0.0
+    damping, before = 0.0, 0.0
     for _ in range(steps):
         step, size = _step(current, damping)
         spread = max(1.0, (current.chi2 / max(current.dof, 1)) ** 0.5)
         if size < _STEP * spread:
             return current
-        rate, before = min(size / before, 1.0) if before else rate, size
+        rate = 1.0 if damping else min(size / before, 1.0) if before else current.rate
         left = max(0.0 if current.rows.problem.linear else rate * size, _EXACT * current.chi2**0.5)
-        trial = _trial(current, step, last=left < 0.1 * _STEP * spread)
+        before, current = size, replace(current, went=max(current.went, size), rate=rate)
+        trial = _trial(current, step, last=left < _SURELY * _STEP * spread)
         if _chi2_seen_from(current, trial) < current.chi2 * (1.0 + _ROUNDING):
             current, damping = trial, damping / 100 if damping > 1e-8 else 0.0
         elif size**2 < 10 * _ROUNDING * current.chi2:
@@ -254,7 +263,26 @@ def _trial(current: Fit, step: Floats, *, last: bool) -> Fit:
     """The fit after a step; after the last one nothing is left to gain from another look at the columns."""
     state = _moved(current, step)
     rows = stepped(current.rows, state, step) if last else rows_at(current.rows.problem, state)
-    return Fit(rows, current.identifiability)
+    return replace(current, rows=rows)
+
+
+def settled_with(found: Fit, placed: Fit, earlier: Fit) -> Fit | None:
+    """The fit of some parameters after another moved the rest, if that was too little to move these again.
+
+    What they moved when the rest went ``earlier.went`` says what they will do now that it goes ``placed.went``.
+
+    Args:
+        found: The fit after the rest was placed as in ``earlier``.
+        placed: The fit of the rest that started from there.
+        earlier: The fit of the rest before.
+
+    Returns:
+        The fit at the state of ``placed``, or None if it has to be done.
+    """
+    plain = (found.state.weights == 1.0).all() and (placed.state.weights == 1.0).all()
+    if not plain or found.went * placed.went > _SURELY * _STEP * earlier.went:
+        return None
+    return replace(found, rows=stepped(found.rows, placed.state, np.zeros(len(found.fitted))))
 
 
 def _chi2_seen_from(current: Fit, trial: Fit) -> float:

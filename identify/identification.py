@@ -11,14 +11,13 @@ import numpy as np
 from identify.arrays import Floats, Ints, frozen
 from identify.errors import NotIdentifiable
 from identify.experiment import Experiment, Measurements
-from identify.fit import Fit, State, fit, rows_that_do_not_fit, start
+from identify.fit import Fit, State, fit, rows_that_do_not_fit, settled_with, start
 from identify.identifiability import why_not
 from identify.lack_of_fit import LackOfFit, lack_of_fit
 from identify.model import Model, model_of, respond
 from identify.selection import load_changes, rows_of_visits, take_rows
 from identify.study import Study
 from identify.uncertainty import load_share, stated_covariance, visit_covariance
-from identify.whitened_rows import parts_of
 
 __all__ = ["Heldout", "Identification", "Misfit", "fit_differences", "heldout_misfit", "identify", "misfit_of"]
 
@@ -213,18 +212,18 @@ def _compares_loads(data: Measurements) -> bool:
 def fit_differences(study: Study, model: Model, data: Measurements, state: State | None = None) -> Fit:
     """Effects from changes within visits, frame and markers from the visits' offsets, in turn until both stand."""
     state = state or start(model, data)
-    nuisance, parts = model.nuisance, parts_of(model, data)
-
-    def changes(begin: State) -> Fit:
-        return fit(model, data, study.noise, begin, free_offsets=True, fitted=~nuisance, parts=parts)
-
-    found = changes(_plain(state, model))
+    nuisance, noise = model.nuisance, study.noise
+    found = fit(model, data, noise, _plain(state, model), free_offsets=True, fitted=~nuisance)
     if not nuisance.any():
         return found
+    placed = None
     for _ in range(_ALTERNATIONS):
-        placed = fit(model, data, study.noise, found.state, fitted=nuisance, parts=parts)
-        before = found.state
-        found = changes(_with_weights(placed.state, before))
+        earlier, placed = placed, fit(model, data, noise, found.state, fitted=nuisance, like=placed or found)
+        settled = settled_with(found, placed, earlier) if earlier else None
+        if settled:
+            return settled
+        before, begin = found.state, _with_weights(placed.state, found.state)
+        found = fit(model, data, noise, begin, free_offsets=True, fitted=~nuisance, like=found)
         moved = np.abs(found.state.values - before.values)[~nuisance]
         if (moved <= 1e-9 * np.abs(found.state.values[~nuisance])).all():
             break
@@ -282,8 +281,7 @@ def _offsets_share(found: Fit, study: Study) -> tuple[Floats, Ints]:
     """Covariance (p, p) and kept indices of frame and markers where the fit to changes left them out."""
     if found.fitted.all():
         return np.zeros((len(found.fitted),) * 2), found.identifiability.kept
-    parts = found.rows.problem.parts
-    placed = fit(found.model, found.data, study.noise, found.state, fitted=~found.fitted, parts=parts)
+    placed = fit(found.model, found.data, study.noise, found.state, fitted=~found.fitted, like=found)
     kept = np.union1d(found.identifiability.kept, placed.identifiability.kept)
     return visit_covariance(placed)[0], kept
 

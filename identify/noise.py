@@ -53,9 +53,9 @@ class Whitening:
             taken = chosen.reshape(len(index), 3 * index.shape[1], -1)
             block = operator @ taken
             if self.cancels:
-                size = np.linalg.norm(block, axis=(0, 1))
-                scale = np.linalg.norm(operator) * np.linalg.norm(taken, axis=(0, 1)) / np.sqrt(max(len(index), 1))
-                block[:, :, size <= _NEGLIGIBLE * scale] = 0.0
+                size, given = np.einsum("gkp,gkp->p", block, block), np.einsum("gkp,gkp->p", taken, taken)
+                scale = np.einsum("gkm,gkm->", operator, operator) / max(len(index), 1)
+                block[:, :, size <= _NEGLIGIBLE**2 * scale * given] = 0.0
             yield block.reshape(len(index), operator.shape[1], *rows.shape[2:])
 
     def split(self, whitened: Floats) -> Iterator[Floats]:
