@@ -50,12 +50,14 @@ class Fit:
         identifiability: Kept and dropped parameters (indices of all p).
         went: How far the fit went from its start, in sigmas: the length of its longest step.
         rate: How much shorter each step came out than the one before it.
+        beside: The fit of the other parameters, at the same state, if there is one.
     """
 
     rows: Rows
     identifiability: Identifiability
     went: float = 0.0
     rate: float = 1.0
+    beside: Fit | None = None
 
     @property
     def model(self) -> Model:
@@ -106,8 +108,8 @@ class Fit:
 
     @cached_property
     def columns(self) -> Floats:
-        """(K, p) whitened derivative, all rows at once; `upper` and `Rows.stacks` do without."""
-        return np.concatenate([columns for _, columns in self.rows.stacks()])
+        """(K, p) whitened derivative, all rows at once; `upper` and `Rows.each` do without."""
+        return np.concatenate(self.rows.each(lambda _, columns, rows: columns))
 
     @property
     def upper(self) -> Floats:
@@ -282,7 +284,7 @@ def settled_with(found: Fit, placed: Fit, earlier: Fit) -> Fit | None:
     plain = (found.state.weights == 1.0).all() and (placed.state.weights == 1.0).all()
     if not plain or found.went * placed.went > _SURELY * _STEP * earlier.went:
         return None
-    return replace(found, rows=stepped(found.rows, placed.state, np.zeros(len(found.fitted))))
+    return replace(found, rows=stepped(found.rows, placed.state, np.zeros(len(found.fitted))), beside=placed)
 
 
 def _chi2_seen_from(current: Fit, trial: Fit) -> float:

@@ -216,7 +216,7 @@ def fit_differences(study: Study, model: Model, data: Measurements, state: State
     found = fit(model, data, noise, _plain(state, model), free_offsets=True, fitted=~nuisance)
     if not nuisance.any():
         return found
-    placed = None
+    placed: Fit | None = None
     for _ in range(_ALTERNATIONS):
         earlier, placed = placed, fit(model, data, noise, found.state, fitted=nuisance, like=placed or found)
         settled = settled_with(found, placed, earlier) if earlier else None
@@ -281,7 +281,7 @@ def _offsets_share(found: Fit, study: Study) -> tuple[Floats, Ints]:
     """Covariance (p, p) and kept indices of frame and markers where the fit to changes left them out."""
     if found.fitted.all():
         return np.zeros((len(found.fitted),) * 2), found.identifiability.kept
-    placed = fit(found.model, found.data, study.noise, found.state, fitted=~found.fitted, like=found)
+    placed = found.beside or fit(found.model, found.data, study.noise, found.state, fitted=~found.fitted, like=found)
     kept = np.union1d(found.identifiability.kept, placed.identifiability.kept)
     return visit_covariance(placed)[0], kept
 

@@ -262,14 +262,15 @@ def _with_bending(
     ]
     if not own and not wanted[: markers.stop].any():
         return direct
-    columns, rows = direct.copy(), np.arange(len(deflection))
+    columns = direct.copy()
     if wanted[markers].any():
+        mine = (experiment.row_marker[:, None] == np.arange(model.marker_size // 3))[:, None]
         for axis in range(3):  # every row has its own marker
             nudged = values.copy()
             nudged[markers][axis::3] += _NUDGE
             elsewhere = scene.with_markers(marker_positions(model, experiment, nudged))
             change = (_yielding(model, elsewhere, nudged)[1] - deflection) / _NUDGE
-            columns[rows, :, markers.start + axis + 3 * experiment.row_marker] += change
+            columns[:, :, markers.start + axis : markers.stop : 3] += change[:, :, None] * mine
     for column in own:
         nudged = values.copy()
         nudged[column] += _NUDGE
@@ -342,11 +343,8 @@ def effect_columns(model: Model, scene: Scene, values: Floats, wanted: np.ndarra
 
 def _marker_columns(columns: Floats, scene: Scene) -> None:
     """Each row moves with its own marker, turned by the flange (or not, on the base)."""
-    markers = scene.experiment.markers
-    row_marker = scene.experiment.row_marker
+    markers, row_marker = scene.experiment.markers, scene.experiment.row_marker
     turn = MM * scene.frames.flange_rotation[scene.row_pose]
     turn[markers.on_base[row_marker]] = MM * np.eye(3)
-    columns[:] = 0.0
-    for marker in range(len(markers.names)):
-        rows = row_marker == marker
-        columns[rows, :, 3 * marker : 3 * marker + 3] = turn[rows]
+    own = row_marker[:, None] == np.arange(len(markers.names))
+    columns[:] = (own[:, None, :, None] * turn[:, :, None]).reshape(columns.shape)

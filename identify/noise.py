@@ -58,6 +58,11 @@ class Whitening:
                 block[:, :, size <= _NEGLIGIBLE**2 * scale * given] = 0.0
             yield block.reshape(len(index), operator.shape[1], *rows.shape[2:])
 
+    @property
+    def size(self) -> int:
+        """Number K of whitened rows."""
+        return sum(len(index) * operator.shape[1] for index, operator in self.groups)
+
     def split(self, whitened: Floats) -> Iterator[Floats]:
         """Whitened rows (K, c) visit by visit: (G, k, c) for each group that has any."""
         start = 0
@@ -94,9 +99,7 @@ def joined(parts: Sequence[Whitening], starts: Sequence[int]) -> Whitening:
         starts: First row of each part.
     """
     groups = [
-        (index + start, operator)
-        for part, start in zip(parts, starts, strict=True)
-        for index, operator in part.groups
+        (index + start, operator) for part, start in zip(parts, starts, strict=True) for index, operator in part.groups
     ]
     return Whitening(tuple(groups), any(part.cancels for part in parts))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,7 @@ from identify.arrays import Floats
 from identify.fit import Fit
 from identify.loads import LoadCase
 from identify.model import respond
+from identify.noise import Whitening
 
 __all__ = ["load_changes_by_sigma", "load_share", "off_columns", "stated_covariance", "visit_covariance"]
 
@@ -30,19 +30,20 @@ def visit_covariance(found: Fit) -> tuple[Floats, int]:
     is on the safe side for few visits with high leverage.
     """
     root = _root(found)
-    meat, clusters, start = np.zeros((root.shape[1],) * 2), 0, 0
-    for operators, columns in found.rows.stacks():
+
+    def meat_of(operators: Whitening, columns: Floats, rows: slice) -> tuple[Floats, int]:
         basis = columns[:, found.identifiability.kept] @ root
-        for visits in operators.split(np.column_stack([basis, found.whitened[start : start + len(basis)]])):
-            scores = _scores(visits[:, :, :-1], visits[:, :, -1])
-            meat += scores.T @ scores
-            clusters += len(visits)
-        start += len(basis)
-    return _spread(found, root @ meat @ root.T * ((clusters - 1) / clusters)), clusters
+        parts = list(operators.split(np.column_stack([basis, found.whitened[rows]])))
+        scores = np.concatenate([_scores(part[:, :, :-1], part[:, :, -1]) for part in parts]) if parts else basis[:0]
+        return scores.T @ scores, len(scores)
+
+    meats, counts = zip(*found.rows.each(meat_of), strict=True)
+    clusters = sum(counts)
+    return _spread(found, root @ sum(meats) @ root.T * ((clusters - 1) / clusters)), clusters
 
 
 def _scores(basis: Floats, whitened: Floats) -> Floats:
-    """``Q_v' (I - Q_v Q_v')^-1 r_v`` of G visits with k rows each, (G, m); orthonormal columns (G, k, m) of all rows."""
+    """``Q_v' (I - Q_v Q_v')^-1 r_v`` of G visits with k rows each, (G, m), from orthonormal columns (G, k, m)."""
     hat = basis @ basis.swapaxes(1, 2)
     left = np.eye(hat.shape[1]) - hat
     if np.trace(hat, axis1=1, axis2=2).max() < _LIGHT:
@@ -94,29 +95,20 @@ def _change(found: Fit, index: int, load: LoadCase) -> Floats:
 
 def along_columns(found: Fit, whitened: Floats) -> Floats:
     """``Q'Z`` of whitened rows Z (K, u), (rank, u), with Q an orthonormal basis of the kept columns."""
-    total, start = np.zeros((found.identifiability.rank, whitened.shape[1])), 0
-    if whitened.shape[1]:
-        for basis in _bases(found):
-            total += basis.T @ whitened[start : start + len(basis)]
-            start += len(basis)
-    return total
+    if not whitened.shape[1]:
+        return np.zeros((found.identifiability.rank, 0))
+    root, kept = _root(found), found.identifiability.kept
+    parts = found.rows.each(lambda _, columns, rows: (columns[:, kept] @ root).T @ whitened[rows])
+    return np.asarray(np.sum(parts, axis=0))
 
 
 def off_columns(found: Fit, whitened: Floats) -> Floats:
     """``Z - Q Q'Z`` of whitened rows Z (K, u): what no kept column can take up."""
-    along, rest, start = along_columns(found, whitened), whitened.copy(), 0
-    if whitened.shape[1]:
-        for basis in _bases(found):
-            rest[start : start + len(basis)] -= basis @ along
-            start += len(basis)
-    return rest
-
-
-def _bases(found: Fit) -> Iterator[Floats]:
-    """Rows (K_i, rank) of the orthonormal basis, part by part."""
-    root = _root(found)
-    for _, columns in found.rows.stacks():
-        yield columns[:, found.identifiability.kept] @ root
+    if not whitened.shape[1]:
+        return whitened
+    kept, taken = found.identifiability.kept, _root(found) @ along_columns(found, whitened)
+    parts = found.rows.each(lambda _, columns, rows: whitened[rows] - columns[:, kept] @ taken)
+    return np.concatenate(parts)
 
 
 def _root(found: Fit) -> Floats:

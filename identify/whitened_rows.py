@@ -6,10 +6,11 @@ accumulated over parts of some thousand rows, so that the columns of all rows ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -106,7 +107,7 @@ def parts_of(model: Model, data: Measurements) -> tuple[Part, ...]:
     count = len(visit)
     starts = np.flatnonzero(np.diff(visit, prepend=-1))
     cuts = np.unique(starts[np.searchsorted(starts, np.arange(0, count, _ROWS), side="right") - 1])
-    slices = [slice(int(a), int(b)) for a, b in zip(cuts, [*cuts[1:], count], strict=True)]
+    slices = [slice(int(a), int(b)) for a, b in pairwise([*cuts, count])]
     return tuple(_each(slices, lambda rows: _part(model, data, rows)))
 
 
@@ -154,15 +155,33 @@ class Rows:
     @cached_property
     def distances(self) -> Floats:
         """(R,) see `identify.row_distances.row_distances`."""
-        own = instrument_covariance(self.problem.noise, self.point, station(self.problem.noise, self.state.base_T_measurement))
-        return row_distances(self.whitening, self.whitened, own, self.state.weights)
+        noise, at = self.problem.noise, station(self.problem.noise, self.state.base_T_measurement)
 
-    def stacks(self) -> Iterator[tuple[Whitening, Floats]]:
-        """The whitening of every part and its whitened columns (K_i, p), one after the other."""
-        for part, operators in zip(self.problem.parts, self.operators, strict=True):
-            columns = operators.apply(_response(self.problem, part, self.state).derivative)
+        def distances(index: int) -> Floats:
+            rows = self.problem.parts[index].rows
+            own = instrument_covariance(noise, self.point[rows], at)
+            return row_distances(
+                self.operators[index], self.whitened[self.slices[index]], own, self.state.weights[rows]
+            )
+
+        return np.concatenate(_each(range(len(self.operators)), distances))
+
+    @cached_property
+    def slices(self) -> tuple[slice, ...]:
+        """Where the whitened rows of each part stand."""
+        ends = np.cumsum([0, *(operators.size for operators in self.operators)]).tolist()
+        return tuple(slice(a, b) for a, b in pairwise(ends))
+
+    def each(self, work: Callable[[Whitening, Floats, slice], U]) -> list[U]:
+        """Do something with every part: its whitening, its whitened columns (K_i, p) and where they stand in all K."""
+
+        def on(index: int) -> U:
+            operators = self.operators[index]
+            columns = operators.apply(_response(self.problem, self.problem.parts[index], self.state).derivative)
             columns[:, ~self.problem.free] = 0.0
-            yield operators, columns
+            return work(operators, columns, self.slices[index])
+
+        return _each(range(len(self.operators)), on)
 
 
 def station(noise: Noise, placement: Floats) -> Floats:
@@ -218,7 +237,9 @@ def _look(problem: Problem, part: Part, state: State) -> _Look:
 def stepped(rows: Rows, state: State, step: Floats) -> Rows:
     """The rows after a step (p,) that leaves whitening and columns as they are."""
     problem = rows.problem
-    residuals = _each(problem.parts, lambda part: _residual(part, state, _response(problem, part, state, columns=False)))
+    residuals = _each(
+        problem.parts, lambda part: _residual(part, state, _response(problem, part, state, columns=False))
+    )
     whitened = [operators.apply(part) for operators, part in zip(rows.operators, residuals, strict=True)]
     upper = rows.upper.copy()
     upper[:, -1] -= upper[:, :-1] @ step

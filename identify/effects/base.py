@@ -193,8 +193,11 @@ class Scene:
 
     def _twists(self, springs: SpringSet, yielded: Floats) -> Floats:
         """(S, 6) twists of the flange where springs yield by (S, s)."""
-        every = self._loaded(springs)[0][self.experiment.shot_pose]
-        return np.asarray((every @ yielded[:, :, None])[:, :, 0])
+        twists = np.zeros((len(yielded), 6))
+        loaded = np.flatnonzero(yielded.any(axis=1))
+        every = self._loaded(springs)[0][self.experiment.shot_pose[loaded]]
+        twists[loaded] = (every @ yielded[loaded, :, None])[:, :, 0]
+        return twists
 
     def _carried(self, twists: Floats) -> Floats:
         """(R, 3) what twists (S, 6) of the flange do to the undeflected markers."""
