@@ -17,6 +17,7 @@ from identify.lack_of_fit import LackOfFit, lack_of_fit
 from identify.model import Model, model_of, respond
 from identify.selection import load_changes, rows_of_visits, take_rows
 from identify.study import Study
+from identify.threads import one_thread
 from identify.uncertainty import load_share, stated_covariance, visit_covariance
 
 __all__ = ["Heldout", "Identification", "Misfit", "fit_differences", "heldout_misfit", "identify", "misfit_of"]
@@ -145,6 +146,11 @@ def identify(study: Study, data: Measurements, *, seed: int = 0) -> Identificati
         NotIdentifiable: No parameter can be identified, or there are fewer rows than unknowns.
         NoConvergence: The fit did not converge.
     """
+    with one_thread():
+        return _identify(study, data, seed)
+
+
+def _identify(study: Study, data: Measurements, seed: int) -> Identification:
     model = model_of(study)
     found, reference, notes = _choose_reference(study, model, data)
     _check_enough(found)
