@@ -22,10 +22,11 @@ def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
 
 def skew(vectors: Floats) -> Floats:
     """Matrices ``[v]x`` with ``[v]x w = v x w``; ``vectors`` (..., 3) -> (..., 3, 3)."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    matrices = np.zeros((*vectors.shape, 3))
+    for x, (y, z) in enumerate(((1, 2), (2, 0), (0, 1))):
+        matrices[..., z, y] = vectors[..., x]
+        matrices[..., y, z] = -vectors[..., x]
+    return matrices
 
 
 def rotation_of(vector: Floats) -> Floats:

@@ -162,7 +162,7 @@ def _identified(found: Fit) -> int:
 
 def _compensated(data: Measurements, found: Fit, residual: Floats) -> float | None:
     """Share of the measured deflection that a residual lacks, per cent."""
-    before, _ = load_changes(data.experiment, found.response.position + found.residual)
+    before, _ = load_changes(data.experiment, found.reading)
     after, _ = load_changes(data.experiment, residual)
     return float(100.0 * (1.0 - np.sqrt((after**2).sum() / (before**2).sum()))) if len(before) else None
 

@@ -105,16 +105,4 @@ def _some(experiment: Experiment) -> Experiment:
     if count <= _SAMPLE:
         return experiment
     poses = np.unique(np.linspace(0, count - 1, _SAMPLE).astype(np.int64))
-    shots = np.flatnonzero(np.isin(experiment.shot_pose, poses))
-    rows = np.flatnonzero(np.isin(experiment.row_shot, shots))
-    return replace(
-        experiment,
-        q=experiment.q[poses],
-        shot_pose=np.searchsorted(poses, experiment.shot_pose[shots]),
-        **{key: getattr(experiment, key)[shots] for key in ("shot_visit", "shot_load", "shot_repeat")},
-        row_shot=np.searchsorted(shots, experiment.row_shot[rows]),
-        row_marker=experiment.row_marker[rows],
-        wrench=None if experiment.wrench is None else experiment.wrench[shots],
-        time=None if experiment.time is None else experiment.time[rows],
-        temperature=None if experiment.temperature is None else experiment.temperature[rows],
-    )
+    return experiment.of_rows(np.flatnonzero(np.isin(experiment.shot_pose[experiment.row_shot], poses)))

@@ -7,7 +7,7 @@ noise for each row.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,6 +85,22 @@ class Experiment:
         if self.wrench is not None:
             return np.asarray(~self.wrench.any(axis=1))
         return np.array([load.unloaded for load in self.loads])[self.shot_load]
+
+    def of_rows(self, rows: Ints) -> Experiment:
+        """The experiment of some rows (ascending) with their shots and poses alone; visits keep their numbers."""
+        shots, row_shot = np.unique(self.row_shot[rows], return_inverse=True)
+        poses, shot_pose = np.unique(self.shot_pose[shots], return_inverse=True)
+        return replace(
+            self,
+            q=self.q[poses],
+            shot_pose=shot_pose.ravel(),
+            **{key: getattr(self, key)[shots] for key in ("shot_visit", "shot_load", "shot_repeat")},
+            row_shot=row_shot.ravel(),
+            row_marker=self.row_marker[rows],
+            wrench=None if self.wrench is None else self.wrench[shots],
+            time=None if self.time is None else self.time[rows],
+            temperature=None if self.temperature is None else self.temperature[rows],
+        )
 
 
 @dataclass(frozen=True, eq=False)

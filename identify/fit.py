@@ -12,45 +12,34 @@ Rows that do not fit lose influence: a row whose distance z from what the others
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from identify.alignment import align, inverse
 from identify.arrays import Floats, Ints
 from identify.errors import InputError, NoConvergence
-from identify.experiment import Experiment, Measurements
-from identify.identifiability import Dropped, Identifiability, independent_columns, triangle
+from identify.experiment import Measurements
+from identify.identifiability import Dropped, Identifiability, independent_columns
 from identify.model import Model, Response, frame_displacement, respond
-from identify.noise import Whitening, instrument_covariance, whitening
+from identify.noise import Whitening
+from identify.row_distances import one_of_two, robust_scale
 from identify.study import Noise
+from identify.whitened_rows import Problem, Rows, State, parts_of, rows_at, stepped
 
-__all__ = ["OUTLYING", "Fit", "State", "absorb_frame", "fit", "start"]
+__all__ = ["OUTLYING", "Fit", "State", "absorb_frame", "fit", "settled_with", "start"]
 
 OUTLYING = 7.0  # P(chi(3) > 7) = 1.3e-10; model errors of real robots reach 6 robust sigmas
-_MEDIAN_CHI2_3 = 2.365974
 _STEP = 1e-8  # converged when no step moves the fit by more than this many sigmas
+_SURELY = 0.1  # of this, where it is only foreseen
 _NEARLY = 1e-4  # good enough where rounding does not let it come closer
 _CORNER = 1e-2  # sigmas: where only damped steps as short as this descend, and less than one is left to gain
 _FIRST_STEPS = 3  # before rows are judged anew
 _MAX_STEPS = 60
 _MAX_REWEIGHTS = 50
 _MAX_CHOICES = 8
+_EXACT = 64 * float(np.finfo(np.float64).eps)  # share of the residual that a step on the triangle may miss
 _ROUNDING = 1e-10  # of chi2: readings of some m, exact to 1e-16, are compared with um
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """Where a fit stands.
-
-    Attributes:
-        values: (p,) parameters in their units; frame parameters are zero, they live in the placement.
-        base_T_measurement: (4, 4) placement of the measurement frame, m.
-        weights: (R,) weights of the rows, 1 for good ones.
-    """
-
-    values: Floats
-    base_T_measurement: Floats
-    weights: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,32 +47,91 @@ class Fit:
     """A converged fit.
 
     Attributes:
-        model: The model.
-        data: The rows.
-        state: Values, frame and weights.
-        response: The model at the solution.
-        residual: (R, 3) reading minus model, base frame, m.
-        whitening: Operators at the solution.
-        columns: (K, p) whitened derivative.
-        whitened: (K,) whitened residual.
+        rows: All rows at the solution, and the problem.
         identifiability: Kept and dropped parameters (indices of all p).
-        fitted: (p,) True for parameters that this fit was allowed to move.
-        z: (R,) distance of each row from what the others say, in stated sigmas.
-        scale: Robust scale of ``z``: 1 if the stated noise is right.
+        went: How far the fit went from its start, in sigmas: the length of its longest step.
+        rate: How much shorter each step came out than the one before it.
+        beside: The fit of the other parameters, at the same state, if there is one.
     """
 
-    model: Model
-    data: Measurements
-    state: State
-    response: Response
-    residual: Floats
-    whitening: Whitening
-    columns: Floats
-    whitened: Floats
+    rows: Rows
     identifiability: Identifiability
-    fitted: np.ndarray
-    z: Floats
-    scale: float
+    went: float = 0.0
+    rate: float = 1.0
+    beside: Fit | None = None
+
+    @property
+    def model(self) -> Model:
+        """The model."""
+        return self.rows.problem.model
+
+    @property
+    def data(self) -> Measurements:
+        """The rows."""
+        return self.rows.problem.data
+
+    @property
+    def state(self) -> State:
+        """Values, frame and weights."""
+        return self.rows.state
+
+    @property
+    def fitted(self) -> np.ndarray:
+        """(p,) True for parameters that this fit was allowed to move."""
+        return self.rows.problem.free
+
+    @cached_property
+    def response(self) -> Response:
+        """The model at the solution, all rows and columns at once."""
+        return respond(self.model, self.data.experiment, self.state.values, wanted=self.fitted)
+
+    @property
+    def reading(self) -> Floats:
+        """(R, 3) readings in the base frame, m."""
+        placement = self.state.base_T_measurement
+        position: Floats = self.data.positions @ placement[:3, :3].T + placement[:3, 3]
+        return position
+
+    @property
+    def residual(self) -> Floats:
+        """(R, 3) reading minus model, base frame, m."""
+        return self.rows.residual
+
+    @property
+    def whitening(self) -> Whitening:
+        """Operators at the solution."""
+        return self.rows.whitening
+
+    @property
+    def whitened(self) -> Floats:
+        """(K,) whitened residual."""
+        return self.rows.whitened
+
+    @cached_property
+    def columns(self) -> Floats:
+        """(K, p) whitened derivative, all rows at once; `upper` and `Rows.each` do without."""
+        return np.concatenate(self.rows.each(lambda _, columns, rows: columns))
+
+    @property
+    def upper(self) -> Floats:
+        """(m, p) R factor of the columns up to rounding."""
+        return self.rows.upper[:, :-1]
+
+    @cached_property
+    def z(self) -> Floats:
+        """(R,) distance of each row from what the others say, in stated sigmas."""
+        z = self.rows.distances
+        if self.rows.problem.free_offsets:
+            return one_of_two(self.data.experiment, self.residual, z, OUTLYING * self._scale_of(z))
+        return z
+
+    @cached_property
+    def scale(self) -> float:
+        """Robust scale of the distances: 1 if the stated noise is right."""
+        return self._scale_of(self.rows.distances)
+
+    def _scale_of(self, z: Floats) -> float:
+        return robust_scale(z, len(self.whitened), self.identifiability.rank)
 
     @property
     def chi2(self) -> float:
@@ -94,17 +142,6 @@ class Fit:
     def dof(self) -> int:
         """Whitened rows minus rank."""
         return len(self.whitened) - self.identifiability.rank
-
-
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """What does not change during a fit."""
-
-    model: Model
-    data: Measurements
-    noise: Noise
-    free_offsets: bool
-    free: np.ndarray
 
 
 def start(model: Model, data: Measurements) -> State:
@@ -129,6 +166,7 @@ def fit(
     free_offsets: bool = False,
     fitted: np.ndarray | None = None,
     reweigh: bool = True,
+    like: Fit | None = None,
 ) -> Fit:
     """Fit the parameters of a model.
 
@@ -140,13 +178,17 @@ def fit(
         free_offsets: Only changes within a visit inform (reference ``differences``).
         fitted: (p,) True for parameters to move; all by default.
         reweigh: Take influence from rows that do not fit; else the weights of ``state`` stay.
+        like: Another fit of this model to these data, whose rows are in parts already.
 
     Raises:
         NoConvergence: No convergence in the allowed steps; ``best`` holds the last fit.
     """
     free = np.ones(len(model.parameters), dtype=bool) if fitted is None else fitted
-    problem = _Problem(model, data, noise, free_offsets, free)
+    parts = parts_of(model, data) if like is None else like.rows.problem.parts
+    problem = Problem(model, data, noise, free_offsets, free, parts)
     found = _evaluate(problem, state)
+    if like is not None and np.array_equal(like.fitted, free):
+        found = replace(found, rate=like.rate)
     for _ in range(_MAX_REWEIGHTS if reweigh else 0):
         weights = _weights(found)
         if _differ(weights, found.state.weights):
@@ -169,7 +211,7 @@ def _differ(weights: Floats, others: Floats) -> bool:
     return bool(np.abs(np.log(weights / others)).max() >= 0.02)
 
 
-def _settled(problem: _Problem, found: Fit, steps: int) -> Fit:
+def _settled(problem: Problem, found: Fit, steps: int) -> Fit:
     """Fit at fixed weights what can be identified where the fit ends; the rest is held at its nominal value.
 
     A few steps are enough as long as the weights still change: bad rows are found before the fit has
@@ -178,17 +220,15 @@ def _settled(problem: _Problem, found: Fit, steps: int) -> Fit:
     """
     vanished: dict[int, Dropped] = {}
     for _ in range(_MAX_CHOICES):
-        found = _gauss_newton(problem, _held(problem, found), steps)
-        known = _without(_identifiable(problem, found), vanished)
+        found = _gauss_newton(_held(problem, found), steps)
+        known = _without(_decided(found.rows), vanished)
         was_kept = found.identifiability.kept
-        vanished |= {
-            d.column: d for d in known.dropped if d.column in was_kept and not found.columns[:, d.column].any()
-        }
+        vanished |= {d.column: d for d in known.dropped if d.column in was_kept and not found.upper[:, d.column].any()}
         settled = np.array_equal(known.kept, found.identifiability.kept)
         found = replace(found, identifiability=known)
         if settled:
             return found
-    return _gauss_newton(problem, _held(problem, found), steps)
+    return _gauss_newton(_held(problem, found), steps)
 
 
 def _without(known: Identifiability, left_out: dict[int, Dropped]) -> Identifiability:
@@ -197,7 +237,7 @@ def _without(known: Identifiability, left_out: dict[int, Dropped]) -> Identifiab
     return Identifiability(np.setdiff1d(known.kept, list(left_out)), (*others, *left_out.values()))
 
 
-def _held(problem: _Problem, found: Fit) -> Fit:
+def _held(problem: Problem, found: Fit) -> Fit:
     """The same with nominal values for the parameters that cannot be identified."""
     dropped = [d.column for d in found.identifiability.dropped if problem.free[d.column]]
     values = found.state.values.copy()
@@ -207,17 +247,20 @@ def _held(problem: _Problem, found: Fit) -> Fit:
     return _evaluate(problem, replace(found.state, values=values), found.identifiability)
 
 
-def _gauss_newton(problem: _Problem, current: Fit, steps: int) -> Fit:
+def _gauss_newton(current: Fit, steps: int) -> Fit:
     """Steps for the parameters that are kept, damped (Marquardt) only where the plain step does not descend."""
-    damping = 0.0
+    damping, before = 0.0, 0.0
     for _ in range(steps):
         step, size = _step(current, damping)
         spread = max(1.0, (current.chi2 / max(current.dof, 1)) ** 0.5)
         if size < _STEP * spread:
             return current
-        trial = _evaluate(problem, _moved(current, step), current.identifiability)
+        rate = 1.0 if damping else min(size / before, 1.0) if before else current.rate
+        left = max(0.0 if current.rows.problem.linear else rate * size, _EXACT * current.chi2**0.5)
+        before, current = size, replace(current, went=max(current.went, size), rate=rate)
+        trial = _trial(current, step, last=left < _SURELY * _STEP * spread)
         descends = _chi2_seen_from(current, trial) < current.chi2 * (1.0 + _ROUNDING)
-        short = bool(damping) and np.linalg.norm(current.columns @ step) < _CORNER * spread
+        short = bool(damping) and np.linalg.norm(current.upper @ step) < _CORNER * spread
         if size < spread and short:
             return trial if descends else current  # along an edge (friction) each side points across it to the other
         if descends:
@@ -235,47 +278,54 @@ def _gauss_newton(problem: _Problem, current: Fit, steps: int) -> Fit:
     )
 
 
+def _trial(current: Fit, step: Floats, *, last: bool) -> Fit:
+    """The fit after a step; after the last one nothing is left to gain from another look at the columns."""
+    state = _moved(current, step)
+    rows = stepped(current.rows, state, step) if last else rows_at(current.rows.problem, state)
+    return replace(current, rows=rows)
+
+
+def settled_with(found: Fit, placed: Fit, earlier: Fit) -> Fit | None:
+    """The fit of some parameters after another moved the rest, if that was too little to move these again.
+
+    What they moved when the rest went ``earlier.went`` says what they will do now that it goes ``placed.went``.
+
+    Args:
+        found: The fit after the rest was placed as in ``earlier``.
+        placed: The fit of the rest that started from there.
+        earlier: The fit of the rest before.
+
+    Returns:
+        The fit at the state of ``placed``, or None if it has to be done.
+    """
+    plain = (found.state.weights == 1.0).all() and (placed.state.weights == 1.0).all()
+    if not plain or found.went * placed.went > _SURELY * _STEP * earlier.went:
+        return None
+    return replace(found, rows=stepped(found.rows, placed.state, np.zeros(len(found.fitted))), beside=placed)
+
+
 def _chi2_seen_from(current: Fit, trial: Fit) -> float:
     """Sum of squares of a trial in the frame and under the covariance of the current state, which the step assumed."""
+    if trial.rows.operators is current.rows.operators:
+        return trial.chi2
     turn = current.state.base_T_measurement[:3, :3] @ trial.state.base_T_measurement[:3, :3].T
     whitened = current.whitening.apply(trial.residual @ turn.T)
     return float(whitened @ whitened)
 
 
-def _evaluate(problem: _Problem, state: State, known: Identifiability | None = None) -> Fit:
-    """Residuals, whitening, columns and row distances at a state; what is identifiable is decided if not given."""
-    model, data, noise, free = problem.model, problem.data, problem.noise, problem.free
-    response = respond(model, data.experiment, state.values, wanted=free)
-    placement = state.base_T_measurement
-    residual = data.positions @ placement[:3, :3].T + placement[:3, 3] - response.position
-    station = _station(noise, placement)
-    operators = whitening(response.scene, noise, station, free_offsets=problem.free_offsets, weights=state.weights)
-    columns = operators.apply(response.derivative)
-    columns[:, ~free] = 0.0
-    whitened = operators.apply(residual)
-    known = known or _decided(problem, response, operators, columns, whitened)
-    own = instrument_covariance(noise, response.scene.point, station)
-    z = _row_distances(operators, residual, own, state.weights)
-    scale = _robust_scale(z, len(columns), known.rank)
-    if problem.free_offsets:
-        z = _one_of_two(data.experiment, residual, z, OUTLYING * scale)
-    return Fit(model, data, state, response, residual, operators, columns, whitened, known, free, z, scale)
+def _evaluate(problem: Problem, state: State, known: Identifiability | None = None) -> Fit:
+    """All rows at a state; what is identifiable is decided if not given."""
+    rows = rows_at(problem, state)
+    return Fit(rows, known or _decided(rows))
 
 
-def _identifiable(problem: _Problem, found: Fit) -> Identifiability:
-    """What can be identified at a state that was evaluated with another decision."""
-    return _decided(problem, found.response, found.whitening, found.columns, found.whitened)
-
-
-def _decided(
-    problem: _Problem, response: Response, operators: Whitening, columns: Floats, whitened: Floats
-) -> Identifiability:
+def _decided(rows: Rows) -> Identifiability:
     """What the direct columns can show of the parameters that may move."""
-    direct = columns if response.direct is response.derivative else operators.apply(response.direct)
+    problem, whitened = rows.problem, rows.whitened
     spread = max(1.0, float(np.sqrt(whitened @ whitened / max(len(whitened), 1))))
     limits = np.array([parameter.limit for parameter in problem.model.parameters])
     chosen = np.flatnonzero(problem.free)
-    found = independent_columns(triangle([direct[:, chosen]]), limits[chosen], spread)
+    found = independent_columns(rows.direct[:, chosen], limits[chosen], spread)
     return Identifiability(
         chosen[found.kept],
         tuple(
@@ -284,25 +334,17 @@ def _decided(
     )
 
 
-def _station(noise: Noise, placement: Floats) -> Floats:
-    """The instrument in the base frame: as stated, else the origin of the measurement frame."""
-    if noise.tracker is not None and noise.tracker.station is not None and np.array_equal(placement, np.eye(4)):
-        return noise.tracker.station
-    origin: Floats = placement[:3, 3]
-    return origin
-
-
 def _step(current: Fit, damping: float) -> tuple[Floats, float]:
     """Step (p,) on unit columns, and the length in sigmas that the undamped step would take off."""
     step = np.zeros(len(current.model.parameters))
     kept = current.identifiability.kept
-    kept = kept[current.columns[:, kept].any(axis=0)]  # a nonlinear effect may lose its column on the way
+    kept = kept[current.upper[:, kept].any(axis=0)]  # a nonlinear effect may lose its column on the way
     if not len(kept):
         return step, 0.0
-    columns = current.columns[:, kept]
+    columns = current.upper[:, kept]
     norms = np.linalg.norm(columns, axis=0)
     q, r = np.linalg.qr(columns / norms)
-    target = q.T @ current.whitened
+    target = q.T @ current.rows.upper[:, -1]
     damped = np.vstack([r, np.sqrt(damping) * np.eye(len(kept))])
     step[kept] = np.linalg.lstsq(damped, np.append(target, np.zeros(len(kept))), rcond=None)[0] / norms
     return step, float(np.linalg.norm(target))
@@ -333,65 +375,6 @@ def absorb_frame(model: Model, values: Floats, placement: Floats) -> tuple[Float
     values = values.copy()
     values[: model.frame_size] = 0.0
     return values, inverse(displaced) @ placement
-
-
-def _row_distances(operators: Whitening, residual: Floats, own: Floats, weights: Floats) -> Floats:
-    """Distance of each row from what the others of its visit and the model say, in stated sigmas, (R,).
-
-    With P = N'N and u = P e, the mean shift of row i is ``P_ii^-1 u_i`` with covariance ``P_ii^-1``; the
-    inflation that the row's weight put into it is taken out again.
-    """
-    z = np.zeros(len(residual))
-    for index, operator in operators.groups:
-        count, size = index.shape
-        if operator.shape[1] == 0:
-            continue
-        error = residual[index].reshape(count, 3 * size, 1)
-        score = (operator.swapaxes(1, 2) @ (operator @ error)).reshape(count, size, 3)
-        split = operator.reshape(count, operator.shape[1], size, 3).transpose(0, 2, 3, 1)
-        precision = split @ split.swapaxes(2, 3)
-        z[index] = _shift_distance(precision, score, own[index], weights[index])
-    return z
-
-
-def _shift_distance(precision: Floats, score: Floats, own: Floats, weights: Floats) -> Floats:
-    """Mahalanobis length of the mean shifts, (G, m); zero where a row has nothing to be compared with."""
-    alone = np.linalg.norm(precision, axis=(2, 3)) * np.linalg.norm(own, axis=(2, 3)) < 1e-12
-    precision = np.where(alone[:, :, None, None], np.eye(3), precision)
-    spread = np.linalg.inv(precision)
-    shift = (spread @ score[..., None])[..., 0]
-    spread = spread + own * (1.0 - 1.0 / weights)[:, :, None, None]
-    square = np.einsum("gmi,gmi->gm", shift, np.linalg.solve(spread, shift[..., None])[..., 0])
-    return np.where(alone, 0.0, np.sqrt(np.maximum(square, 0.0)))
-
-
-def _one_of_two(experiment: Experiment, residual: Floats, z: Floats, limit: float) -> Floats:
-    """Where two rows contradict each other and nothing else compares them, only one of them is accused.
-
-    Changes cannot tell which of the two is wrong; the one near where the model and the visit's other
-    markers put it is believed, if it is at least twice as near as the other.
-    """
-    z = z.copy()
-    key = experiment.row_visit * len(experiment.markers.names) + experiment.row_marker
-    group = np.unique(key, return_inverse=True)[1]
-    contradict = (np.bincount(group) == 2) & (np.bincount(group, z > limit) == 2)
-    rows = np.flatnonzero(contradict[group])
-    for one, other in rows[np.argsort(group[rows], kind="stable")].reshape(-1, 2):
-        beside = (experiment.row_visit == experiment.row_visit[one]) & (group != group[one])
-        expected = np.median(residual[beside], axis=0) if beside.any() else np.zeros(3)
-        distance = np.linalg.norm(residual[[one, other]] - expected, axis=1)
-        if distance.min() < 0.5 * distance.max():
-            z[[one, other][int(distance.argmin())]] = 0.0
-    return z
-
-
-def _robust_scale(z: Floats, rows: int, rank: int) -> float:
-    """Scale of the row distances from their median, corrected for the parameters fitted."""
-    compared = z[z > 0]
-    if not len(compared) or rows <= rank:
-        return 1.0
-    spread = np.median(compared**2) / _MEDIAN_CHI2_3 * rows / (rows - rank)
-    return float(np.sqrt(max(spread, 1e-6)))
 
 
 def rows_that_do_not_fit(found: Fit) -> Ints:

@@ -11,12 +11,13 @@ import numpy as np
 from identify.arrays import Floats, Ints, frozen
 from identify.errors import NotIdentifiable
 from identify.experiment import Experiment, Measurements
-from identify.fit import Fit, State, fit, rows_that_do_not_fit, start
+from identify.fit import Fit, State, fit, rows_that_do_not_fit, settled_with, start
 from identify.identifiability import why_not
 from identify.lack_of_fit import LackOfFit, lack_of_fit
 from identify.model import Model, model_of, respond
 from identify.selection import load_changes, rows_of_visits, take_rows
 from identify.study import Study
+from identify.threads import one_thread
 from identify.uncertainty import load_share, stated_covariance, visit_covariance
 
 __all__ = ["Heldout", "Identification", "Misfit", "fit_differences", "heldout_misfit", "identify", "misfit_of"]
@@ -120,8 +121,7 @@ class Identification:
     def deflection(self) -> tuple[Misfit, Misfit]:
         """Measured deflection and what the model leaves of it, without `worst`; empty without loads."""
         rows = np.setdiff1d(np.arange(len(self.residuals)), self.worst)
-        measured = self.fit.response.position + self.residuals
-        before = misfit_of(self.data, measured, "differences", rows)
+        before = misfit_of(self.data, self.fit.reading, "differences", rows)
         return before, misfit_of(self.data, self.residuals, "differences", rows)
 
     @property
@@ -146,6 +146,11 @@ def identify(study: Study, data: Measurements, *, seed: int = 0) -> Identificati
         NotIdentifiable: No parameter can be identified, or there are fewer rows than unknowns.
         NoConvergence: The fit did not converge.
     """
+    with one_thread():
+        return _identify(study, data, seed)
+
+
+def _identify(study: Study, data: Measurements, seed: int) -> Identification:
     model = model_of(study)
     found, reference, notes = _choose_reference(study, model, data)
     _check_enough(found)
@@ -215,15 +220,22 @@ def fit_differences(
 ) -> Fit:
     """Effects from changes within visits, frame and markers from the visits' offsets, in turn until both stand."""
     state = state or start(model, data)
-    nuisance = model.nuisance
+    nuisance, noise = model.nuisance, study.noise
     begin = _plain(state, model) if reweigh else state
-    found = fit(model, data, study.noise, begin, free_offsets=True, fitted=~nuisance, reweigh=reweigh)
+    found = fit(model, data, noise, begin, free_offsets=True, fitted=~nuisance, reweigh=reweigh)
     if not nuisance.any():
         return found
+    placed: Fit | None = None
     for _ in range(_ALTERNATIONS):
-        placed = fit(model, data, study.noise, found.state, fitted=nuisance, reweigh=reweigh)
+        earlier, placed = (
+            placed,
+            fit(model, data, noise, found.state, fitted=nuisance, like=placed or found, reweigh=reweigh),
+        )
+        settled = settled_with(found, placed, earlier) if earlier else None
+        if settled:
+            return settled
         before, begin = found.state, _with_weights(placed.state, found.state)
-        found = fit(model, data, study.noise, begin, free_offsets=True, fitted=~nuisance, reweigh=reweigh)
+        found = fit(model, data, noise, begin, free_offsets=True, fitted=~nuisance, like=found, reweigh=reweigh)
         moved = np.abs(found.state.values - before.values)[~nuisance]
         if (moved <= 1e-9 * np.abs(found.state.values[~nuisance])).all():
             break
@@ -247,7 +259,7 @@ def _check_enough(found: Fit) -> None:
     Raises:
         NotIdentifiable: Nothing that is asked for can be identified, or there are too few rows for it.
     """
-    model, known, rows = found.model, found.identifiability, len(found.columns)
+    model, known, rows = found.model, found.identifiability, len(found.whitened)
     dropped = [d for d in known.dropped if found.fitted[d.column]]
     names = tuple(model.names[d.column] for d in dropped)
     if rows <= known.rank and any(d.alike for d in dropped):
@@ -281,7 +293,7 @@ def _offsets_share(found: Fit, study: Study) -> tuple[Floats, Ints]:
     """Covariance (p, p) and kept indices of frame and markers where the fit to changes left them out."""
     if found.fitted.all():
         return np.zeros((len(found.fitted),) * 2), found.identifiability.kept
-    placed = fit(found.model, found.data, study.noise, found.state, fitted=~found.fitted)
+    placed = found.beside or fit(found.model, found.data, study.noise, found.state, fitted=~found.fitted, like=found)
     kept = np.union1d(found.identifiability.kept, placed.identifiability.kept)
     return visit_covariance(placed)[0], kept
 

@@ -90,7 +90,7 @@ def identified_by_fit(result: Identification, reduction: Reduction | None = None
     if not own:
         raise NotIdentifiable(f"{result.study.path}: no compliance was identified, so there is nothing to reconstruct")
     seen = np.union1d(kept, asked)
-    shares = coupling(triangle([result.fit.columns[:, seen]]), np.searchsorted(seen, kept))
+    shares = coupling(triangle([result.fit.upper[:, seen]]), np.searchsorted(seen, kept))
     matrix = shares[np.ix_(np.searchsorted(kept, own), np.searchsorted(seen, asked))]
     names, values = tuple(model.names[i] for i in own), matrix @ result.values[asked]
     covariance = result.covariance[np.ix_(own, own)]

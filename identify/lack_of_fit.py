@@ -15,7 +15,7 @@ import numpy as np
 
 from identify.arrays import Floats, Ints
 from identify.fit import Fit
-from identify.uncertainty import load_changes_by_sigma
+from identify.uncertainty import load_changes_by_sigma, off_columns
 
 __all__ = ["LackOfFit", "lack_of_fit"]
 
@@ -46,10 +46,8 @@ def lack_of_fit(found: Fit, left_out: Ints) -> LackOfFit:
     """
     from scipy.stats import chi2
 
-    fitted = found.columns[:, found.identifiability.kept]
-    basis = np.linalg.qr(fitted / np.linalg.norm(fitted, axis=0))[0]
-    loads = load_changes_by_sigma(found)
-    both = np.column_stack([found.whitened, loads - basis @ (basis.T @ loads)])
+    loads = off_columns(found, load_changes_by_sigma(found))
+    both = np.column_stack([found.whitened, loads])
     lost = _project_off(found, left_out, both)
     rest, loads = both[:, 0], both[:, 1:]
     gained = loads.T @ rest

@@ -50,6 +50,17 @@ class LoadedScene(Scene):
         """Fields of a named set of springs."""
         return self.exact[springs]
 
+    def torque(self, springs: SpringSet) -> Floats:
+        """(S, s) the torques of a named set of springs."""
+        return self.exact[springs].torque
+
+    def moved_by(self, springs: SpringSet, compliance: Floats) -> Floats:
+        """(R, 3) motion of the markers, m, where springs of ``compliance`` (s, s), SI, yield and all others follow."""
+        fields = self.exact[springs]
+        yielded = fields.torque @ compliance.T
+        moved: Floats = np.einsum("rsi,rs->ri", fields.motion, yielded[self.experiment.row_shot])
+        return moved
+
 
 @dataclass(frozen=True, eq=False)
 class _Load:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -27,6 +28,7 @@ __all__ = [
     "model_of",
     "respond",
     "through_columns",
+    "undeflected",
     "with_effect",
     "without_nuisance",
 ]
@@ -60,7 +62,7 @@ class Model:
     self_weight: bool
     loaded: bool = False
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return tuple(parameter.name for parameter in self.parameters)
@@ -83,14 +85,14 @@ class Model:
             marked[where] = effect.of_reading
         return marked
 
-    @property
+    @cached_property
     def effect_slices(self) -> tuple[slice, ...]:
         """Where each effect's parameters stand."""
         sizes = [len(effect.parameters) for effect in self.effects]
         ends = self.frame_size + self.marker_size + np.cumsum(sizes)
         return tuple(slice(int(end) - size, int(end)) for end, size in zip(ends, sizes, strict=True))
 
-    @property
+    @cached_property
     def effect_inputs(self) -> tuple[Ints, ...]:
         """Where the values stand that each effect takes: its own parameters, then those it borrows."""
         names = self.names
@@ -195,6 +197,7 @@ def respond(
     *,
     derivative: bool = True,
     wanted: np.ndarray | None = None,
+    known: Scene | None = None,
 ) -> Response:
     """Where every row should be read, and how that depends on the parameters.
 
@@ -204,9 +207,10 @@ def respond(
         values: (p,) parameters in their units.
         derivative: Also compute the derivative.
         wanted: (p,) True for columns that are needed (all by default); others may be zero.
+        known: `undeflected` of this model and experiment, where it is at hand.
     """
     wanted = np.ones(len(model.parameters), dtype=bool) if wanted is None else wanted
-    scene, deflection = deflected(model, experiment, values)
+    scene, deflection = deflected(model, experiment, values, known=known)
     turn, shift = frame_displacement(model, values)
     position = (scene.point + deflection) @ turn.T + shift
     if not derivative:
@@ -217,14 +221,14 @@ def respond(
         direct[:, :, column] = part
     columns = direct
     if deflection.any():
-        columns = _with_bending(direct, model, experiment, values, deflection, wanted)
+        columns = _with_bending(direct, model, experiment, values, scene, deflection, wanted)
     if model.frame_size and columns is not direct:
         columns[:, :, 3:6] = -MRAD * skew(position)
     return Response(scene, position, deflection, columns, direct)
 
 
 def deflected(
-    model: Model, experiment: Experiment, values: Floats, tolerance: float = TOLERANCE
+    model: Model, experiment: Experiment, values: Floats, tolerance: float = TOLERANCE, known: Scene | None = None
 ) -> tuple[Scene, Floats]:
     """The scene on the adjusted robot and the (R, 3) displacement that all effects add, m.
 
@@ -233,20 +237,40 @@ def deflected(
         experiment: The conditions.
         values: (p,) parameters in their units.
         tolerance: Of the loaded equilibrium, rad or m.
+        known: `undeflected` of this model and experiment, where it is at hand.
     """
+    if known is None:
+        scene = _scene(model, experiment, values)
+    else:
+        scene = known.with_markers(marker_positions(model, experiment, values))
+    return _yielding(model, scene, values, tolerance)
+
+
+def undeflected(model: Model, experiment: Experiment) -> Scene | None:
+    """The scene that all values of the parameters have in common but for their markers; None if they change the arm."""
+    if any(effect.adjust is not None or effect.reload is not None for effect in model.effects):
+        return None
+    return _scene(model, experiment, model.nominal)
+
+
+def _scene(model: Model, experiment: Experiment, values: Floats) -> Scene:
+    """The undeflected scene on the adjusted robot."""
     robot = model.robot
-    pairs = tuple(zip(model.effects, model.effect_slices, strict=True))
-    for effect, where in pairs:
+    for effect, where in zip(model.effects, model.effect_slices, strict=True):
         if effect.adjust is not None:
             robot = effect.adjust(robot, values[where])
         if effect.reload is not None:
             experiment = effect.reload(experiment, values[where])
     markers = marker_positions(model, experiment, values)
-    scene = build_scene(experiment, forward(robot, experiment.q), markers, self_weight=model.self_weight)
+    return build_scene(experiment, forward(robot, experiment.q), markers, self_weight=model.self_weight)
+
+
+def _yielding(model: Model, scene: Scene, values: Floats, tolerance: float = TOLERANCE) -> tuple[Scene, Floats]:
+    """The scene, in equilibrium if the model asks for that, and the (R, 3) displacement, m."""
     given = [(effect, values[inputs]) for effect, inputs in zip(model.effects, model.effect_inputs, strict=True)]
     deflection = np.zeros_like(scene.point)
     if model.loaded:
-        scene = load_scene(scene, *spring_matrix(given, robot.n), tolerance=tolerance)
+        scene = load_scene(scene, *spring_matrix(given, model.robot.n), tolerance=tolerance)
         deflection = scene.moved
         given = [(effect, inputs) for effect, inputs in given if effect.springs is None]
     for effect, inputs in given:
@@ -255,30 +279,41 @@ def deflected(
 
 
 def _with_bending(
-    direct: Floats, model: Model, experiment: Experiment, values: Floats, deflection: Floats, wanted: np.ndarray
+    direct: Floats,
+    model: Model,
+    experiment: Experiment,
+    values: Floats,
+    scene: Scene,
+    deflection: Floats,
+    wanted: np.ndarray,
 ) -> Floats:
     """Add how the deflection itself changes when geometry or markers move: the second-order part of their columns.
 
     By forward differences of a small term (a step of 1 um or 1 urad in a field of some mm).
     """
-    moved = [np.arange(model.frame_size + axis, model.frame_size + model.marker_size, 3) for axis in range(3)]
-    moved = moved if model.marker_size else []
-    for effect, where in zip(model.effects, model.effect_slices, strict=True):
-        if effect.adjust is not None and not effect.through:
-            moved += [np.array([column]) for column in range(where.start, where.stop)]
-    moved = [index for index in moved if wanted[index].any()]
-    if not moved and not wanted[: model.frame_size].any():
+    markers = slice(model.frame_size, model.frame_size + model.marker_size)
+    own = [
+        column
+        for effect, where in zip(model.effects, model.effect_slices, strict=True)
+        if effect.adjust is not None and not effect.through
+        for column in range(where.start, where.stop)
+        if wanted[column]
+    ]
+    if not own and not wanted[: markers.stop].any():
         return direct
     columns = direct.copy()
-    for index in moved:
+    if wanted[markers].any():
+        mine = (experiment.row_marker[:, None] == np.arange(model.marker_size // 3))[:, None]
+        for axis in range(3):  # every row has its own marker
+            nudged = values.copy()
+            nudged[markers][axis::3] += _NUDGE
+            elsewhere = scene.with_markers(marker_positions(model, experiment, nudged))
+            change = (_yielding(model, elsewhere, nudged)[1] - deflection) / _NUDGE
+            columns[:, :, markers.start + axis : markers.stop : 3] += change[:, :, None] * mine
+    for column in own:
         nudged = values.copy()
-        nudged[index] += _NUDGE
-        change = (deflected(model, experiment, nudged)[1] - deflection) / _NUDGE
-        if len(index) == 1:
-            columns[:, :, index[0]] += change
-        else:  # every row has its own marker
-            rows = np.arange(len(change))
-            columns[rows, :, index[experiment.row_marker]] += change
+        nudged[column] += _NUDGE
+        columns[:, :, column] += (deflected(model, experiment, nudged)[1] - deflection) / _NUDGE
     return columns
 
 
@@ -388,11 +423,8 @@ def effect_columns(model: Model, scene: Scene, values: Floats, wanted: np.ndarra
 
 def _marker_columns(columns: Floats, scene: Scene) -> None:
     """Each row moves with its own marker, turned by the flange (or not, on the base)."""
-    markers = scene.experiment.markers
-    row_marker = scene.experiment.row_marker
+    markers, row_marker = scene.experiment.markers, scene.experiment.row_marker
     turn = MM * scene.frames.flange_rotation[scene.row_pose]
     turn[markers.on_base[row_marker]] = MM * np.eye(3)
-    columns[:] = 0.0
-    for marker in range(len(markers.names)):
-        rows = row_marker == marker
-        columns[rows, :, 3 * marker : 3 * marker + 3] = turn[rows]
+    own = row_marker[:, None] == np.arange(len(markers.names))
+    columns[:] = (own[:, None, :, None] * turn[:, :, None]).reshape(columns.shape)

@@ -11,8 +11,9 @@ every displacement that the rows of one marker share, so that only changes betwe
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from identify.effects import Scene
 from identify.experiment import Experiment
 from identify.study import Noise
 
-__all__ = ["Whitening", "instrument_covariance", "whitening"]
+__all__ = ["Whitening", "instrument_covariance", "joined", "whitening"]
 
 _NEGLIGIBLE = 1e-10  # a column that the free offsets cancel to this share is zero
 
@@ -47,18 +48,60 @@ class Whitening:
     def blocks(self, rows: Floats) -> Iterator[Floats]:
         """The same by groups: (G, k) or (G, k, p)."""
         for index, operator in self.groups:
-            taken = rows[index].reshape(len(index), 3 * index.shape[1], -1)
+            together = index.size and index[-1, -1] - index[0, 0] == index.size - 1  # a view, not a copy
+            chosen = rows[index[0, 0] : index[-1, -1] + 1] if together else rows[index]
+            taken = chosen.reshape(len(index), 3 * index.shape[1], -1)
             block = operator @ taken
             if self.cancels:
-                size = np.linalg.norm(block, axis=(0, 1))
-                scale = np.linalg.norm(operator) * np.linalg.norm(taken, axis=(0, 1)) / np.sqrt(max(len(index), 1))
-                block[:, :, size <= _NEGLIGIBLE * scale] = 0.0
+                size, given = np.einsum("gkp,gkp->p", block, block), np.einsum("gkp,gkp->p", taken, taken)
+                scale = np.einsum("gkm,gkm->", operator, operator) / max(len(index), 1)
+                block[:, :, size <= _NEGLIGIBLE**2 * scale * given] = 0.0
             yield block.reshape(len(index), operator.shape[1], *rows.shape[2:])
+
+    @property
+    def size(self) -> int:
+        """Number K of whitened rows."""
+        return sum(len(index) * operator.shape[1] for index, operator in self.groups)
+
+    def split(self, whitened: Floats) -> Iterator[Floats]:
+        """Whitened rows (K, c) visit by visit: (G, k, c) for each group that has any."""
+        start = 0
+        for index, operator in self.groups:
+            count, size = len(index), operator.shape[1]
+            if size:
+                yield whitened[start : start + count * size].reshape(count, size, -1)
+            start += count * size
+
+    @cached_property
+    def precisions(self) -> tuple[Floats, ...]:
+        """By groups, (G, m, 3, 3): the block of ``N'N`` that belongs to each row, 1/m^2."""
+        return tuple(_row_blocks(operator) for _, operator in self.groups)
 
     def visits(self, experiment: Experiment) -> Ints:
         """(K,) visit of each whitened row."""
         parts = [np.repeat(experiment.row_visit[index[:, 0]], operator.shape[1]) for index, operator in self.groups]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
+
+
+def _row_blocks(operator: Floats) -> Floats:
+    """Diagonal blocks (G, m, 3, 3) of ``N'N``."""
+    count, rows, size = operator.shape
+    split = operator.reshape(count, rows, size // 3, 3).transpose(0, 2, 3, 1)
+    blocks: Floats = split @ split.swapaxes(2, 3)
+    return blocks
+
+
+def joined(parts: Sequence[Whitening], starts: Sequence[int]) -> Whitening:
+    """One whitening of rows that were whitened in parts.
+
+    Args:
+        parts: The whitening of each part.
+        starts: First row of each part.
+    """
+    groups = [
+        (index + start, operator) for part, start in zip(parts, starts, strict=True) for index, operator in part.groups
+    ]
+    return Whitening(tuple(groups), any(part.cancels for part in parts))
 
 
 def instrument_covariance(noise: Noise, points: Floats, station: Floats) -> Floats:

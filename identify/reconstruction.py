@@ -206,7 +206,7 @@ def _root(result: Identification, identified: Identified) -> Floats:
     names, kept = result.model.names, result.fit.identifiability.kept.tolist()
     own = [names.index(name) for name in identified.names]
     order = [i for i in kept if i not in own] + own
-    return triangle([result.fit.columns[:, order]])[-len(own) :, -len(own) :]
+    return triangle([result.fit.upper[:, order]])[-len(own) :, -len(own) :]
 
 
 def _box(cone: Cone, y: Floats, bound: float) -> tuple[Floats, Floats]:

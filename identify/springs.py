@@ -26,12 +26,14 @@ __all__ = [
     "Springs",
     "base_springs",
     "carried",
+    "carry",
     "cross",
     "joint_springs",
     "link_springs",
     "link_turns",
     "load_torque",
     "motion",
+    "screws",
     "self_weight_torque",
 ]
 
@@ -99,13 +101,26 @@ def link_turns(robot: Robot) -> Floats:
     return turns
 
 
+def screws(springs: Springs) -> Floats:
+    """Motion of the flange per unit of each spring: of its point at the base origin, then its turn, (V, 6, s)."""
+    slides = springs.slides[:, None]
+    linear = np.where(slides, springs.axis, cross(springs.origin, springs.axis))
+    turning = np.where(slides, 0.0, springs.axis)
+    return np.concatenate([linear.swapaxes(1, 2), turning.swapaxes(1, 2)], axis=1)
+
+
+def carry(screws: Floats, points: Floats) -> Floats:
+    """Motion of points (V, M, 3) by screws (V, 6, s), ``v + w x p`` -> (V, M, 3, s)."""
+    v, w, p = screws[:, None, :3], screws[:, None, 3:], points[..., None]
+    moved = np.empty((*points.shape, screws.shape[2]))
+    for x, (y, z) in enumerate(((1, 2), (2, 0), (0, 1))):
+        moved[:, :, x] = v[:, :, x] + w[:, :, y] * p[:, :, z] - w[:, :, z] * p[:, :, y]
+    return moved
+
+
 def motion(springs: Springs, points: Floats) -> Floats:
     """``D``: motion of points (V, M, 3) per unit of each spring -> (V, M, s, 3), m per rad or m per m."""
-    axis = springs.axis[:, None]
-    arm = points[:, :, None] - springs.origin[:, None]
-    if not springs.slides.any():
-        return cross(axis, arm)
-    return np.where(springs.slides[:, None], axis, cross(axis, arm))
+    return np.swapaxes(carry(screws(springs), points), 2, 3)
 
 
 def load_torque(springs: Springs, point: Floats, force: Floats, moment: Floats) -> Floats:

@@ -10,14 +10,17 @@ from identify.arrays import Floats
 from identify.fit import Fit
 from identify.loads import LoadCase
 from identify.model import respond
+from identify.noise import Whitening
 
-__all__ = ["load_changes_by_sigma", "load_share", "stated_covariance", "visit_covariance"]
+__all__ = ["load_changes_by_sigma", "load_share", "off_columns", "stated_covariance", "visit_covariance"]
+
+_LIGHT = 0.5  # no visit decides anything alone: the rest of its leverage is far from singular
 
 
 def stated_covariance(found: Fit) -> Floats:
     """``(X'X)^-1`` of the whitened columns, (p, p) in the parameters' units; zero for what was not fitted."""
-    inverse, _, _ = _pieces(found)
-    return _spread(found, inverse)
+    root = _root(found)
+    return _spread(found, root @ root.T)
 
 
 def visit_covariance(found: Fit) -> tuple[Floats, int]:
@@ -26,23 +29,29 @@ def visit_covariance(found: Fit) -> tuple[Floats, int]:
     The scores use leave-one-visit-out residuals ``(I - H_v)^-1 r_v`` (Bell and McCaffrey 2002, CR3), which
     is on the safe side for few visits with high leverage.
     """
-    inverse, columns, whitened = _pieces(found)
-    visit = found.whitening.visits(found.data.experiment)
-    order = np.argsort(visit, kind="stable")
-    starts = np.flatnonzero(np.diff(visit[order], prepend=-1))
-    sizes = np.diff(starts, append=len(order))
-    scores = np.zeros((len(starts), columns.shape[1]))
-    for size in np.unique(sizes):
-        members = np.flatnonzero(sizes == size)
-        rows = order[starts[members][:, None] + np.arange(size)]
-        block = columns[rows]
-        hat = block @ inverse @ block.swapaxes(1, 2)
-        left = np.eye(size) - hat
-        outside = (np.linalg.pinv(left, hermitian=True, rcond=1e-8) @ whitened[rows][..., None])[..., 0]
-        scores[members] = np.einsum("vkp,vk->vp", block, outside)
-    clusters = len(starts)
-    meat = scores.T @ scores * (clusters - 1) / clusters
-    return _spread(found, inverse @ meat @ inverse), clusters
+    root = _root(found)
+
+    def meat_of(operators: Whitening, columns: Floats, rows: slice) -> tuple[Floats, int]:
+        basis = columns[:, found.identifiability.kept] @ root
+        parts = list(operators.split(np.column_stack([basis, found.whitened[rows]])))
+        scores = np.concatenate([_scores(part[:, :, :-1], part[:, :, -1]) for part in parts]) if parts else basis[:0]
+        return scores.T @ scores, len(scores)
+
+    meats, counts = zip(*found.rows.each(meat_of), strict=True)
+    clusters = sum(counts)
+    return _spread(found, root @ sum(meats) @ root.T * ((clusters - 1) / clusters)), clusters
+
+
+def _scores(basis: Floats, whitened: Floats) -> Floats:
+    """``Q_v' (I - Q_v Q_v')^-1 r_v`` of G visits with k rows each, (G, m), from orthonormal columns (G, k, m)."""
+    hat = basis @ basis.swapaxes(1, 2)
+    left = np.eye(hat.shape[1]) - hat
+    if np.trace(hat, axis1=1, axis2=2).max() < _LIGHT:
+        outside = np.linalg.solve(left, whitened[..., None])
+    else:
+        outside = np.linalg.pinv(left, hermitian=True, rcond=1e-8) @ whitened[..., None]
+    scores: Floats = (basis.swapaxes(1, 2) @ outside)[..., 0]
+    return scores
 
 
 def load_share(found: Fit) -> Floats:
@@ -50,8 +59,7 @@ def load_share(found: Fit) -> Floats:
 
     The readings move by ``dy/dm dm``; the estimate follows by ``(X'X)^-1 X'`` of the whitened change.
     """
-    inverse, columns, _ = _pieces(found)
-    changes = inverse @ (columns.T @ load_changes_by_sigma(found))
+    changes = _root(found) @ along_columns(found, load_changes_by_sigma(found))
     return _spread(found, changes @ changes.T)
 
 
@@ -81,17 +89,34 @@ def _change(found: Fit, index: int, load: LoadCase) -> Floats:
     experiment = found.data.experiment
     loads = (*experiment.loads[:index], load, *experiment.loads[index + 1 :])
     other = respond(found.model, replace(experiment, loads=loads), found.state.values, derivative=False)
-    moved: Floats = other.position - found.response.position
+    moved: Floats = other.position - (found.reading - found.residual)
     return moved
 
 
-def _pieces(found: Fit) -> tuple[Floats, Floats, Floats]:
-    """``(X'X)^-1`` on the kept columns, the kept whitened columns and the whitened residual."""
-    columns = found.columns[:, found.identifiability.kept]
+def along_columns(found: Fit, whitened: Floats) -> Floats:
+    """``Q'Z`` of whitened rows Z (K, u), (rank, u), with Q an orthonormal basis of the kept columns."""
+    if not whitened.shape[1]:
+        return np.zeros((found.identifiability.rank, 0))
+    root, kept = _root(found), found.identifiability.kept
+    parts = found.rows.each(lambda _, columns, rows: (columns[:, kept] @ root).T @ whitened[rows])
+    return np.asarray(np.sum(parts, axis=0))
+
+
+def off_columns(found: Fit, whitened: Floats) -> Floats:
+    """``Z - Q Q'Z`` of whitened rows Z (K, u): what no kept column can take up."""
+    if not whitened.shape[1]:
+        return whitened
+    kept, taken = found.identifiability.kept, _root(found) @ along_columns(found, whitened)
+    parts = found.rows.each(lambda _, columns, rows: whitened[rows] - columns[:, kept] @ taken)
+    return np.concatenate(parts)
+
+
+def _root(found: Fit) -> Floats:
+    """Inverse (rank, rank) of the triangle of the kept columns: columns times it are orthonormal."""
+    columns = found.upper[:, found.identifiability.kept]
     norms = np.linalg.norm(columns, axis=0)
-    upper = np.linalg.qr(columns / norms, mode="r")
-    root = np.linalg.inv(upper) / norms[:, None]
-    return root @ root.T, columns, found.whitened
+    root: Floats = np.linalg.inv(np.linalg.qr(columns / norms, mode="r")) / norms[:, None]
+    return root
 
 
 def _spread(found: Fit, kept: Floats) -> Floats:

@@ -1,9 +1,9 @@
 """Which blocks are significant when many are tried: Holm's rule, and flips of whole visits.
 
 Holm (1979) needs scores whose distribution is known, that is a covariance that can be trusted. Where the stated one
-cannot be right (gate ``flip``), its parts are estimated from the residual first, and what passes Holm's rule with them must
-also pass a test that needs no covariance at all, only visits that are independent and scores that are symmetric about
-zero when nothing is missing: with s_i the share of visit i in a block's score and g_i = +-1,
+cannot be right (gate ``flip``), its parts are estimated from the residual first, and what passes Holm's rule with them
+must also pass a test that needs no covariance at all, only visits that are independent and scores that are symmetric
+about zero when nothing is missing: with s_i the share of visit i in a block's score and g_i = +-1,
 
     T(g) = (sum g_i s_i)' (sum s_i s_i')^+ (sum g_i s_i),
 

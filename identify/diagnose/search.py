@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identify.arrays import Floats
 from identify.diagnose.evidence import Evidence, evidence
 from identify.diagnose.gates import LEVELS, Gate, family_probabilities
 from identify.diagnose.library import Hypothesis, finer, hypotheses, merged_options, tried

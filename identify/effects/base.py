@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,12 +20,26 @@ from identify.experiment import Experiment
 from identify.kinematics import Frames
 from identify.loads import LoadCase, Markers
 from identify.robot import Robot
-from identify.springs import Springs, base_springs, joint_springs, link_springs, load_torque, motion, self_weight_torque
+from identify.springs import (
+    Springs,
+    base_springs,
+    carry,
+    joint_springs,
+    link_springs,
+    load_torque,
+    screws,
+    self_weight_torque,
+)
 
 __all__ = ["Binding", "Effect", "Fields", "Parameter", "Scene", "SpringSet", "Term", "build_scene"]
 
 #: Springs that a scene knows: one a joint, six a link (`link_springs`), twelve at the foot (`base_springs`).
 SpringSet = Literal["joints", "links", "base"]
+_SPRINGS: dict[SpringSet, Callable[[Frames], Springs]] = {
+    "joints": joint_springs,
+    "links": link_springs,
+    "base": base_springs,
+}
 
 
 @dataclass(frozen=True)
@@ -100,6 +114,18 @@ class Fields:
     torque: Floats
 
 
+class _Arm(NamedTuple):
+    """What a scene knows of the arm itself, kept when it was asked for.
+
+    Attributes:
+        springs: Screws (C, 6, s) of all poses (`identify.springs.screws`) and torques (S, s).
+        twists: The last compliance (s, s) and the twists (S, 6) of the flange that it lets happen.
+    """
+
+    springs: dict[SpringSet, tuple[Floats, Floats]]
+    twists: dict[SpringSet, tuple[Floats, Floats]]
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """An experiment on a robot; the fields of its springs are computed when they are first asked for.
@@ -130,7 +156,7 @@ class Scene:
     @cached_property
     def joints(self) -> Fields:
         """Fields of the n joint springs."""
-        return self._fields(joint_springs)
+        return self._fields("joints")
 
     @cached_property
     def load_on_joints(self) -> Floats:
@@ -140,26 +166,85 @@ class Scene:
     @cached_property
     def links(self) -> Fields:
         """Fields of the 6 (n + 1) link springs, see `identify.springs.link_springs`."""
-        return self._fields(link_springs)
+        return self._fields("links")
 
     @cached_property
     def base(self) -> Fields:
         """Fields of the twelve springs at the foot, see `identify.springs.base_springs`."""
-        return self._fields(base_springs)
+        return self._fields("base")
 
     def fields(self, springs: SpringSet) -> Fields:
         """Fields of a named set of springs."""
         found: Fields = getattr(self, springs)
         return found
 
-    def _fields(self, springs_of: Callable[[Frames], Springs]) -> Fields:
-        experiment, springs = self.experiment, springs_of(self.frames)
-        moves = motion(springs, self.marker)
-        moves[:, experiment.markers.on_base] = 0.0
-        torque = _load_torque(experiment, self.frames, springs_of)
-        if self.self_weight:
-            torque += self_weight_torque(springs, self.frames)[experiment.shot_pose]
-        return Fields(moves[self.row_pose, experiment.row_marker], torque)
+    def torque(self, springs: SpringSet) -> Floats:
+        """(S, s) the torques of a named set of springs, without the motion of any marker."""
+        return self._loaded(springs)[1]
+
+    @property
+    def joint_torque(self) -> Floats:
+        """(S, n) torques of the joints of the undeflected arm."""
+        return self._loaded("joints")[1]
+
+    def turned(self, joint: int, angle: Floats) -> Floats:
+        """(R, 3) motion of the markers, m, where a joint of the undeflected arm yields by ``angle`` (S,), rad or m."""
+        yielded = np.zeros((len(angle), self.frames.robot.n))
+        yielded[:, joint] = angle
+        return self._carried(self._twists("joints", yielded))
+
+    def moved_by(self, springs: SpringSet, compliance: Floats) -> Floats:
+        """(R, 3) motion of the markers, m, where springs of ``compliance`` (s, s), SI, yield to their torques.
+
+        The flange moves as a rigid body, so that one twist a shot serves all its markers.
+        """
+        known = self._arm.twists.get(springs)
+        if known is None or not np.array_equal(known[0], compliance):
+            known = compliance, self._twists(springs, self._loaded(springs)[1] @ compliance.T)
+            self._arm.twists[springs] = known
+        return self._carried(known[1])
+
+    def _twists(self, springs: SpringSet, yielded: Floats) -> Floats:
+        """(S, 6) twists of the flange where springs yield by (S, s)."""
+        twists = np.zeros((len(yielded), 6))
+        loaded = np.flatnonzero(yielded.any(axis=1))
+        every = self._loaded(springs)[0][self.experiment.shot_pose[loaded]]
+        twists[loaded] = (every @ yielded[loaded, :, None])[:, :, 0]
+        return twists
+
+    def _carried(self, twists: Floats) -> Floats:
+        """(R, 3) what twists (S, 6) of the flange do to the undeflected markers."""
+        experiment = self.experiment
+        moved = carry(twists[experiment.row_shot, :, None], self.point[:, None])[:, 0, :, 0]
+        moved[experiment.markers.on_base[experiment.row_marker]] = 0.0
+        return moved
+
+    def with_markers(self, positions: Floats) -> Scene:
+        """The same arm under the same loads, undeflected, with markers elsewhere: (M, 3) in their own frames, m."""
+        other = Scene(self.experiment, self.frames, _points(self.experiment, self.frames, positions), self.self_weight)
+        vars(other)["_arm"] = self._arm  # what is known of the arm depends on no marker
+        return other
+
+    @cached_property
+    def _arm(self) -> _Arm:
+        """What was computed of the arm so far."""
+        return _Arm({}, {})
+
+    def _loaded(self, name: SpringSet) -> tuple[Floats, Floats]:
+        """Screws (C, 6, s) of a set of springs in all poses, and its torques (S, s)."""
+        if name not in self._arm.springs:
+            springs = _SPRINGS[name](self.frames)
+            torque = _load_torque(self.experiment, self.frames, _SPRINGS[name])
+            if self.self_weight:
+                torque += self_weight_torque(springs, self.frames)[self.experiment.shot_pose]
+            self._arm.springs[name] = screws(springs), torque
+        return self._arm.springs[name]
+
+    def _fields(self, name: SpringSet) -> Fields:
+        every, torque = self._loaded(name)
+        moves = carry(every, self.marker)
+        moves[:, self.experiment.markers.on_base] = 0.0
+        return Fields(moves[self.row_pose, self.experiment.row_marker].swapaxes(1, 2), torque)
 
 
 Displacement = Callable[[Scene, Floats], Floats]
@@ -180,6 +265,7 @@ class Effect:
             accuracy of a robot that is compensated.
         adjust: ``(robot, values) -> robot`` for effects that change the robot itself.
         reload: ``(experiment, values) -> experiment`` for effects that change what acts on the arm.
+        linear: True if its displacement is linear in its values, so that its derivative does not depend on them.
         through: True if it moves markers only through springs that other effects bring (a wrong mass, a wrong load):
             its ``derivative`` is zero and its columns are differences of the whole model's response.
         why_zero: Index of a parameter -> why no row may depend on it.
@@ -199,6 +285,7 @@ class Effect:
     of_reading: bool = False
     adjust: Callable[[Robot, Floats], Robot] | None = None
     reload: Callable[[Experiment, Floats], Experiment] | None = None
+    linear: bool = False
     through: bool = False
     borrowed: tuple[str, ...] = ()
     springs: SpringSet | None = None
@@ -216,10 +303,14 @@ def build_scene(experiment: Experiment, frames: Frames, positions: Floats, *, se
         positions: (M, 3) markers in their own frames, m.
         self_weight: Count the weight of links and tool.
     """
-    markers = experiment.markers
+    return Scene(experiment, frames, _points(experiment, frames, positions), self_weight)
+
+
+def _points(experiment: Experiment, frames: Frames, positions: Floats) -> Floats:
+    """(C, M, 3) undeflected markers in all poses."""
     points = np.stack([frames.point(local) for local in positions], axis=1)
-    points[:, markers.on_base] = positions[markers.on_base]
-    return Scene(experiment, frames, points, self_weight)
+    points[:, experiment.markers.on_base] = positions[experiment.markers.on_base]
+    return points
 
 
 def _load_torque(experiment: Experiment, frames: Frames, springs_of: Callable[[Frames], Springs]) -> Floats:

@@ -98,7 +98,7 @@ def _at(joint: int, turn: TorqueTurn) -> Turn:
 
     def in_scene(scene: Scene, values: Floats) -> tuple[Floats, Floats]:
         experiment = scene.experiment
-        return turn(scene.joints.torque[:, joint], experiment.q[experiment.shot_pose, joint], values)
+        return turn(scene.joint_torque[:, joint], experiment.q[experiment.shot_pose, joint], values)
 
     return in_scene
 
@@ -141,7 +141,7 @@ def _levels(joint: int, levels: Floats, tolerance: float) -> JointTurn:
             "or no load puts a torque on this joint there"
         )
 
-    return JointTurn(joint, parameters, _at(joint, turn), why_zero, stops=levels)
+    return JointTurn(joint, parameters, _at(joint, turn), why_zero, stops=levels, linear=True)
 
 
 # --- springs

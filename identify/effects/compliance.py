@@ -55,21 +55,23 @@ def spring_effect(
 
     def derivative(scene: Scene, values: Floats) -> Floats:
         fields, shot = scene.fields(springs), scene.experiment.row_shot
-        columns = fields.motion[:, first] * (fields.torque[:, second] * scale)[shot][:, :, None]
+        motion = fields.motion.swapaxes(1, 2)
+        columns: Floats = motion.take(first, axis=2)
+        columns *= (fields.torque[:, second] * scale)[shot][:, None]
         if len(mutual):
-            back = (fields.torque[:, first[mutual]] * scale[mutual])[shot][:, :, None]
-            columns[:, mutual] += fields.motion[:, second[mutual]] * back
-        return np.asarray(columns.swapaxes(1, 2))
+            back = motion.take(second[mutual], axis=2)
+            back *= (fields.torque[:, first[mutual]] * scale[mutual])[shot][:, None]
+            columns[:, :, mutual] += back
+        return columns
 
     def displacement(scene: Scene, values: Floats) -> Floats:
-        fields, size = scene.fields(springs), scale * values
-        every = np.arange(fields.torque.shape[1])
-        yielded = (fields.torque[:, second] * size) @ (first[:, None] == every)
-        yielded += (fields.torque[:, first[mutual]] * size[mutual]) @ (second[mutual][:, None] == every)
-        moved: Floats = np.einsum("rsi,rs->ri", fields.motion, yielded[scene.experiment.row_shot])
-        return moved
+        size = scale * values
+        compliance = np.zeros((scene.torque(springs).shape[1],) * 2)
+        np.add.at(compliance, (first, second), size)
+        np.add.at(compliance, (second[mutual], first[mutual]), size[mutual])
+        return scene.moved_by(springs, compliance)
 
-    return Effect(name, parameters, displacement, derivative, why_zero, springs=springs, terms=terms)
+    return Effect(name, parameters, displacement, derivative, why_zero, linear=True, springs=springs, terms=terms)
 
 
 def joint_compliance(binding: Binding) -> Effect:

@@ -51,7 +51,9 @@ def direct_effect(
         moved: Floats = fields(scene) @ (scale * values)
         return moved
 
-    return Effect(name, parameters, displacement, derivative, why_zero, yields=yields, of_reading=of_reading)
+    return Effect(
+        name, parameters, displacement, derivative, why_zero, yields=yields, linear=True, of_reading=of_reading
+    )
 
 
 def turning_effect(
@@ -82,4 +84,4 @@ def turning_effect(
         moved: Floats = np.einsum("rji,rj->ri", motion, error)
         return moved
 
-    return Effect(name, parameters, displacement, derivative, why_zero, yields=False)
+    return Effect(name, parameters, displacement, derivative, why_zero, yields=False, linear=True)

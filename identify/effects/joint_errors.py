@@ -47,6 +47,7 @@ class _Curve:
     zeros: tuple[str, ...]
     shares: Callable[[Floats], Floats]
 
+
 _GEARS, _SMALL_GEARS = 350.0, 1000.0  # urad, largest plausible transmission error of heavy and of small arms
 _SMALL_ARM = 20.0  # kg of rated payload
 

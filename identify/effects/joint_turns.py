@@ -37,6 +37,7 @@ class JointTurn:
         why_zero: Reason for a column of zeros.
         borrowed: Its b parameters of other effects.
         stops: Joint values (rad) at which alone it is defined, or None.
+        linear: The angle is linear in the values.
     """
 
     joint: int
@@ -45,6 +46,7 @@ class JointTurn:
     why_zero: Callable[[int], str]
     borrowed: tuple[str, ...] = ()
     stops: Floats | None = None
+    linear: bool = False
 
 
 def joint_turns(name: str, parts: Sequence[JointTurn]) -> Effect:
@@ -57,7 +59,7 @@ def joint_turns(name: str, parts: Sequence[JointTurn]) -> Effect:
         moved = np.zeros_like(scene.point)
         for part, index in zip(parts, inputs, strict=True):
             angle, _ = part.turn(scene, values[index])
-            moved += scene.joints.motion[:, part.joint] * angle[scene.experiment.row_shot, None]
+            moved += scene.turned(part.joint, angle)
         return moved
 
     def derivative(scene: Scene, values: Floats) -> Floats:
@@ -79,6 +81,7 @@ def joint_turns(name: str, parts: Sequence[JointTurn]) -> Effect:
         derivative,
         why_zero,
         borrowed=tuple(name for part in parts for name in part.borrowed),
+        linear=all(part.linear for part in parts),
         stops={part.joint: part.stops for part in parts if part.stops is not None},
     )
 

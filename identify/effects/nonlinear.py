@@ -63,9 +63,9 @@ def joint_hardening(binding: Binding) -> Effect:
         parameter = _parameter(binding.robot, joint, f"{name}.j{joint + 1}", _HARDENING)
 
         def turn(scene: Scene, values: Floats) -> tuple[Floats, Floats]:
-            return _linear(parameter.scale * scene.joints.torque[:, joint] ** 3, values)
+            return _linear(parameter.scale * scene.joint_torque[:, joint] ** 3, values)
 
-        return JointTurn(joint, (parameter,), turn, _unmoved(binding.robot, joint))
+        return JointTurn(joint, (parameter,), turn, _unmoved(binding.robot, joint), linear=True)
 
     return _joints(name, binding, part)
 
@@ -98,7 +98,7 @@ def joint_windup(binding: Binding) -> Effect:
 
         def turn(scene: Scene, values: Floats) -> tuple[Floats, Floats]:
             t_0, slope = _positive(values[1], _SMALLEST_KNEE * knee) if fitted else (knee, 0.0)
-            ratio = _clean(scene.joints.torque)[:, joint] / t_0
+            ratio = _clean(scene.joint_torque)[:, joint] / t_0
             bent = amplitude.scale * np.tanh(ratio)
             flatter = amplitude.scale * values[0] * (1.0 - np.tanh(ratio) ** 2) * ratio * (-slope / t_0)
             return bent * values[0], np.column_stack([bent, flatter] if fitted else [bent])
@@ -113,7 +113,8 @@ def joint_windup(binding: Binding) -> Effect:
                 )
             return unmoved(parameter)
 
-        return JointTurn(joint, (amplitude, by_knee) if fitted else (amplitude,), turn, why_zero)
+        unknown = (amplitude, by_knee) if fitted else (amplitude,)
+        return JointTurn(joint, unknown, turn, why_zero, linear=not fitted)
 
     return _joints(name, binding, part, ("knee_Nm", "knee_N", "fit_knee"))
 
@@ -133,9 +134,9 @@ def backlash(binding: Binding) -> Effect:
         parameter = _play(binding.robot, joint, f"{name}.j{joint + 1}", typical=50.0)
 
         def turn(scene: Scene, values: Floats) -> tuple[Floats, Floats]:
-            return _linear(parameter.scale * np.sign(_clean(scene.joints.torque)[:, joint]), values)
+            return _linear(parameter.scale * np.sign(_clean(scene.joint_torque)[:, joint]), values)
 
-        return JointTurn(joint, (parameter,), turn, _unmoved(binding.robot, joint))
+        return JointTurn(joint, (parameter,), turn, _unmoved(binding.robot, joint), linear=True)
 
     return _joints(name, binding, part)
 

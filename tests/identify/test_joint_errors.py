@@ -205,7 +205,7 @@ def test_what_the_data_cannot_show_is_listed_with_the_reason():
         ("transmission_error", {"j2": 3}, "j2 = 3: a table"),
         ("transmission_error", {"j2": {"step": 3}}, r"\[model.transmission_error.j2\] step: unknown key"),
         ("wrist_coupling@j5-j4", {}, "wrist_coupling@j5-j4: no such place; a pair of joints"),
-        ("wrist_coupling", {"a": 1}, r"\[model.wrist_coupling\] a: unknown key; allowed: none"),
+        ("wrist_coupling", {"a": 1}, r"\[model.wrist_coupling\] a: unknown key; this effect has no options"),
         ("approach_hysteresis@base", {}, "base: no such place"),
         ("approach_hysteresis", {"a": 1}, "unknown key"),
     ],

@@ -1,0 +1,82 @@
+"""A fit gives the same however its rows are cut into parts, and its triangle stands for its columns."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identify import whitened_rows
+from identify.identification import fit_differences, identify
+from identify.model import model_of, respond, undeflected
+from identify.uncertainty import load_changes_by_sigma, off_columns
+from tests.identify.studies import COMPLIANCE, UNLOADED, WEIGHT, geometry_errors, kr270_study, measured
+
+UNSURE = replace(WEIGHT, mass_std=2.0, attach_std=0.002)
+
+
+def spoiled(data):
+    """One wild row, and one visit that is short of a row."""
+    positions = data.positions.copy()
+    positions[17] += [0.3, -0.2, 0.5]
+    return whitened_rows.take_rows(replace(data, positions=positions), np.delete(np.arange(len(positions)), 30))
+
+
+@pytest.mark.parametrize("reference", ["absolute", "differences"])
+@pytest.mark.parametrize("effects", [("joint_compliance",), ("joint_compliance", "geometry")])
+def test_parts_change_nothing(monkeypatch, reference, effects):
+    """Small parts, so many that they go over two threads, against all rows at once."""
+    rng = np.random.default_rng(20)
+    study = kr270_study(reference=reference, effects=effects, loads=(UNLOADED, UNSURE))
+    truth = {**COMPLIANCE, **(geometry_errors(study.robot, rng) if "geometry" in effects else {})}
+    data = spoiled(measured(study, rng, count=40, values=truth))
+    whole = identify(study, data)
+    monkeypatch.setattr(whitened_rows, "_ROWS", 24)
+    cut = identify(study, data)
+    assert len(whole.fit.rows.problem.parts) == 1
+    assert len(cut.fit.rows.problem.parts) >= 2 * whitened_rows._SERIAL
+    assert cut.fit.identifiability.kept.tolist() == whole.fit.identifiability.kept.tolist()
+    std = np.sqrt(np.diag(whole.covariance))
+    np.testing.assert_allclose(cut.values / np.maximum(std, 1e-9), whole.values / np.maximum(std, 1e-9), atol=1e-6)
+    np.testing.assert_allclose(cut.covariance, whole.covariance, rtol=1e-6, atol=1e-9 * std.max() ** 2)
+    np.testing.assert_allclose(cut.fit.z, whole.fit.z, rtol=1e-6, atol=1e-6)
+    assert cut.worst.tolist() == whole.worst.tolist() == [17]
+    assert cut.lack_of_fit.chi2 == pytest.approx(whole.lack_of_fit.chi2, rel=1e-8)
+    assert cut.lack_of_fit.dof == whole.lack_of_fit.dof
+    assert cut.heldout.misfit.rms == pytest.approx(whole.heldout.misfit.rms, rel=1e-8)
+
+
+@pytest.mark.parametrize("rows", [24, 10_000])
+def test_the_triangle_stands_for_the_columns(monkeypatch, rows):
+    rng = np.random.default_rng(21)
+    study = kr270_study(reference="differences", loads=(UNLOADED, UNSURE))
+    monkeypatch.setattr(whitened_rows, "_ROWS", rows)
+    data = spoiled(measured(study, rng, count=40))
+    found = fit_differences(study, model_of(study), data)
+    columns, scale = found.columns, np.linalg.norm(found.columns, axis=0).max()
+    assert len(found.upper) <= columns.shape[1] + 1 < len(columns)
+    np.testing.assert_allclose(found.upper.T @ found.upper, columns.T @ columns, atol=1e-8 * scale**2)
+    np.testing.assert_allclose(found.whitened, found.whitening.apply(found.residual), atol=1e-9)
+    expected = found.whitening.apply(respond(found.model, data.experiment, found.state.values).derivative)
+    np.testing.assert_allclose(columns[:, found.fitted], expected[:, found.fitted], atol=1e-9 * scale)
+    assert np.abs(columns[:, found.identifiability.kept].T @ found.whitened).max() < 1e-6 * scale
+    loads = load_changes_by_sigma(found)
+    kept = columns[:, found.identifiability.kept]
+    off = loads - kept @ np.linalg.lstsq(kept, loads, rcond=None)[0]
+    assert np.abs(off).max() > 1e-6
+    np.testing.assert_allclose(off_columns(found, loads), off, atol=1e-8 * np.abs(loads).max())
+
+
+def test_markers_elsewhere_ride_on_the_same_arm():
+    """A scene that shares its arm says what a scene of its own would say; one whose arm changes is never shared."""
+    rng = np.random.default_rng(22)
+    study = kr270_study(effects=("joint_compliance", "link_compliance"))
+    model = model_of(study)
+    experiment = measured(study, rng, count=5).experiment
+    values = model.nominal + rng.normal(0, 1.0, len(model.nominal)) * ~model.nuisance
+    values[model.frame_size : model.frame_size + model.marker_size] = rng.normal(0, 2.0, model.marker_size)
+    shared = undeflected(model, experiment)
+    for scaled in (values, values * (1 + model.nuisance), values * (2 - model.nuisance)):
+        own, other = respond(model, experiment, scaled), respond(model, experiment, scaled, known=shared)
+        np.testing.assert_allclose(other.position, own.position, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(other.derivative, own.derivative, rtol=1e-9, atol=1e-12)
+    assert undeflected(model_of(replace(study, effects=("geometry",))), experiment) is None
