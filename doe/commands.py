@@ -19,7 +19,7 @@ from doe.plan import Plan, plan
 from identify.arrays import Floats
 from identify.commands import Outcome
 from identify.config import load_study
-from identify.diagnose.library import Hypothesis
+from identify.diagnosis.library import Hypothesis
 from identify.effects.base import Parameter
 from identify.experiment import Experiment, full_experiment
 from identify.identifiability import Identifiability, why_not

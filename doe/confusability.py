@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identify.arrays import Floats, Ints
-from identify.diagnose.diagnosis import known_reference
-from identify.diagnose.evidence import Evidence, evidence
-from identify.diagnose.library import Hypothesis, hypotheses, tried
-from identify.diagnose.search import fitted
+from identify.diagnosis.evidence import Evidence, evidence
+from identify.diagnosis.library import Hypothesis, hypotheses, tried
+from identify.diagnosis.search import fitted
+from identify.diagnosis.verdict import known_reference
 from identify.experiment import Experiment, Measurements
 from identify.model import model_of, respond
 from identify.study import Study

@@ -21,7 +21,7 @@ from itertools import pairwise
 import numpy as np
 
 from identify.arrays import Floats
-from identify.diagnose.library import Hypothesis
+from identify.diagnosis.library import Hypothesis
 from identify.identifiability import TOLERANCE, triangle
 
 __all__ = ["Contest", "contest", "needed_energy"]

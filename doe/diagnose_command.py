@@ -8,10 +8,10 @@ from typing import Any
 from doe.discriminate import NextPoses, Separation, next_poses
 from identify.commands import Outcome
 from identify.config import load_study
-from identify.diagnose import diagnose
-from identify.diagnose.content import diagnosis_json, diagnosis_lines
-from identify.diagnose.extension import extended_toml
-from identify.diagnose.residual_table import residuals_csv
+from identify.diagnosis import diagnose
+from identify.diagnosis.content import diagnosis_json, diagnosis_lines
+from identify.diagnosis.extension import extended_toml
+from identify.diagnosis.residual_table import residuals_csv
 from identify.effects import REGISTRY
 from identify.errors import InputError
 from identify.tables import load_measurements, plan_csv

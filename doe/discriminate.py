@@ -11,9 +11,9 @@ from doe.contest import Contest, contest
 from doe.next_visits import named_visits, possible_visits
 from doe.remedies import remedy
 from identify.arrays import Floats, Ints
-from identify.diagnose.diagnosis import Diagnosis
-from identify.diagnose.library import Hypothesis, columns_of, hypotheses
-from identify.diagnose.search import Cause, carried, with_causes
+from identify.diagnosis.library import Hypothesis, columns_of, hypotheses
+from identify.diagnosis.search import Cause, carried, with_causes
+from identify.diagnosis.verdict import Diagnosis
 from identify.errors import Infeasible, InputError
 from identify.experiment import Experiment
 from identify.model import Model, model_of, respond

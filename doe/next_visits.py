@@ -9,8 +9,8 @@ import numpy as np
 
 from doe.candidates import candidates
 from identify.arrays import Floats, Ints
-from identify.diagnose.library import Hypothesis
-from identify.diagnose.search import with_causes
+from identify.diagnosis.library import Hypothesis
+from identify.diagnosis.search import with_causes
 from identify.experiment import Experiment, full_experiment
 from identify.kinematics import forward
 from identify.study import Study

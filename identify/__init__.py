@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from identify.config import load_study
-    from identify.diagnose import Diagnosis, diagnose
+    from identify.diagnosis import Diagnosis, diagnose
     from identify.errors import ElastocalError, Infeasible, InputError, NoConvergence, NotIdentifiable
     from identify.identification import Identification, identify
     from identify.reduction import Reduction, reduce
@@ -30,10 +30,10 @@ __all__ = [
 ]
 
 _HOME = {
-    "Diagnosis": "identify.diagnose.diagnosis",
+    "Diagnosis": "identify.diagnosis.verdict",
     "Identification": "identify.identification",
     "Reduction": "identify.reduction",
-    "diagnose": "identify.diagnose.diagnosis",
+    "diagnose": "identify.diagnosis.verdict",
     "identify": "identify.identification",
     "load_measurements": "identify.tables",
     "load_study": "identify.config",

@@ -8,8 +8,8 @@ from scipy.linalg import subspace_angles
 
 from doe.commands import run_evaluate
 from doe.confusability import SHOWN, confusability
-from identify.diagnose.library import hypotheses, tried
-from identify.diagnose.search import fitted
+from identify.diagnosis.library import hypotheses, tried
+from identify.diagnosis.search import fitted
 from identify.experiment import Measurements, full_experiment
 from identify.model import model_of, respond
 from identify.tables import plan_csv

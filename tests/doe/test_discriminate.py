@@ -14,9 +14,9 @@ from doe.diagnose_command import run_diagnose
 from doe.discriminate import choose, next_poses, separable
 from doe.next_visits import named_visits, possible_visits, usual_loads
 from doe.remedies import remedy
-from identify.diagnose import diagnose
-from identify.diagnose.library import hypotheses
-from identify.diagnose.search import fitted
+from identify.diagnosis import diagnose
+from identify.diagnosis.library import hypotheses
+from identify.diagnosis.search import fitted
 from identify.effects import REGISTRY
 from identify.errors import InputError
 from identify.experiment import full_experiment

@@ -6,11 +6,11 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from identify.diagnose.curves import curves
-from identify.diagnose.library import Hypothesis
-from identify.diagnose.replicates import replicates
-from identify.diagnose.screen import recorded, screen
-from identify.diagnose.search import Cause, fitted
+from identify.diagnosis.curves import curves
+from identify.diagnosis.library import Hypothesis
+from identify.diagnosis.replicates import replicates
+from identify.diagnosis.screen import recorded, screen
+from identify.diagnosis.search import Cause, fitted
 from identify.experiment import full_experiment
 from identify.identification import identify
 from identify.model import model_of

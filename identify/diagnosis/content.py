@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from identify.diagnose.curves import Curve, curves
-from identify.diagnose.diagnosis import Diagnosis
-from identify.diagnose.faults import Fault
-from identify.diagnose.library import Hypothesis
-from identify.diagnose.replicates import replicates
-from identify.diagnose.screen import Screen, screen
-from identify.diagnose.search import Cause
+from identify.diagnosis.curves import Curve, curves
+from identify.diagnosis.faults import Fault
+from identify.diagnosis.library import Hypothesis
+from identify.diagnosis.replicates import replicates
+from identify.diagnosis.screen import Screen, screen
+from identify.diagnosis.search import Cause
+from identify.diagnosis.verdict import Diagnosis
 from identify.summary import identification_json
 from identify.units import MM, MRAD
 

@@ -1,6 +1,6 @@
 """The search for causes: one after another, each the one that predicts left-out visits best.
 
-A block must pass a gate (`identify.diagnose.gates`) before it is considered; of those that pass, the one with the
+A block must pass a gate (`identify.diagnosis.gates`) before it is considered; of those that pass, the one with the
 smallest leave-one-visit-out error enters the model, the model is fitted anew, and causes that a later one has made
 superfluous leave it. Rivals of a cause are found by encompassing (Cox 1962; Mizon and Richard 1986): a rival stays a
 rival unless the cause is still significant after the rival was added to the model.
@@ -12,17 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identify.diagnose.evidence import Evidence, evidence
-from identify.diagnose.gates import LEVELS, Gate, family_probabilities
-from identify.diagnose.library import Hypothesis, finer, hypotheses, merged_options, tried
-from identify.diagnose.spread import noise_found, scaled
+from identify.diagnosis.evidence import Evidence, evidence
+from identify.diagnosis.gates import LEVELS, Gate, family_probabilities
+from identify.diagnosis.library import Hypothesis, finer, hypotheses, merged_options, tried
+from identify.diagnosis.spread import noise_found, scaled
 from identify.experiment import Measurements
 from identify.fit import Fit, State, fit, start
 from identify.identification import fit_differences
 from identify.model import Model, model_of
 from identify.study import Study
+from identify.uncertainty import stated_covariance
 
-__all__ = ["Cause", "Search", "carried", "fitted", "search", "with_causes", "with_noise_found"]
+__all__ = ["Cause", "Search", "carried", "fitted", "search", "with_causes", "with_noise_found", "with_rivals"]
 
 _MOST = 8  # causes
 _SHORTLIST = 16  # blocks whose leave-out error is computed
@@ -31,7 +32,7 @@ _WORTH = 0.01  # share of the chi-square that a cause must take off where the co
 _SURE = 2.0  # standard deviations by which a size must exceed what is possible before it is refused
 _BEYOND = 10.0  # times what is plausible: a larger size is no explanation
 #: Curves that can imitate nearly anything once they may be large: beyond what is plausible they are no explanation.
-_STRICT = ("transmission_error", "approach_hysteresis")
+_STRICT = ("transmission_error", "approach_hysteresis", "joint_windup")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +56,7 @@ class Search:
 
     Attributes:
         study: The study with the causes in its model.
+        base: The study as it was.
         first: The fit of the model as it was.
         last: The fit of the extended model.
         causes: In the order in which they entered.
@@ -62,6 +64,7 @@ class Search:
     """
 
     study: Study
+    base: Study
     first: Fit
     last: Fit
     causes: tuple[Cause, ...]
@@ -135,7 +138,8 @@ def search(
     """
     rules = _Rules(data, gate, differences, without, rng)
     first = begin or fitted(study, data, differences=differences)
-    found, causes = first, ()
+    found: Fit = first
+    causes: tuple[Cause, ...] = ()
     while len(causes) < _MOST:
         entered = _next(rules, with_causes(study, _named(causes)), found)
         if entered is None:
@@ -143,9 +147,13 @@ def search(
         causes = (*causes, entered)
         found = fitted(with_causes(study, _named(causes)), data, differences=differences, begin=found)
         causes, found = _pruned(rules, study, causes, found)
-    if rivals:
-        causes = tuple(_with_rivals(rules, study, causes, number, found) for number in range(len(causes)))
-    return Search(with_causes(study, _named(causes)), first, found, causes, gate)
+    done = Search(with_causes(study, _named(causes)), study, first, found, causes, gate)
+    return with_rivals(done, without) if rivals else done
+
+
+def with_rivals(done: Search, without: frozenset[str] = frozenset()) -> Search:
+    """The same search with the hypotheses that explain the same as each cause."""
+    return replace(done, causes=tuple(_with_rivals(done, number, without) for number in range(len(done.causes))))
 
 
 def _named(causes: tuple[Cause, ...]) -> tuple[Hypothesis, ...]:
@@ -200,26 +208,35 @@ def _polished(rules: _Rules, study: Study, found: Fit, chosen: Hypothesis, score
 
 
 def _pruned(rules: _Rules, study: Study, causes: tuple[Cause, ...], found: Fit) -> tuple[tuple[Cause, ...], Fit]:
-    """Leave out causes that the later ones have made superfluous."""
-    for number in range(len(causes) - 1):
-        rest = causes[:number] + causes[number + 1 :]
-        smaller = with_causes(study, _named(rest))
-        begin = fitted(smaller, rules.data, differences=rules.differences, begin=found)
-        _, wider = with_noise_found(smaller, begin, rules.gate)
-        seen = evidence(wider, tried(wider, (causes[number].hypothesis,)))
-        if seen.score(0).p_value > _STILL:
-            return rest, begin
-    return causes, found
+    """Leave out the weakest cause, if the others have made it superfluous."""
+    _, wider = with_noise_found(with_causes(study, _named(causes)), found, rules.gate)
+    weakest = max(range(len(causes)), key=lambda number: _worth(wider, causes[number].hypothesis))
+    if weakest == len(causes) - 1 or _worth(wider, causes[weakest].hypothesis) <= _STILL:
+        return causes, found
+    rest = causes[:weakest] + causes[weakest + 1 :]
+    return rest, fitted(with_causes(study, _named(rest)), rules.data, differences=rules.differences, begin=found)
 
 
-def _with_rivals(rules: _Rules, study: Study, causes: tuple[Cause, ...], number: int, found: Fit) -> Cause:
+def _worth(found: Fit, cause: Hypothesis) -> float:
+    """Probability that the parameters of a cause in a fitted model are all zero (Wald's test)."""
+    from scipy.stats import chi2
+
+    names, kept = found.model.names, found.identifiability.kept
+    own = [names.index(cause.effect.parameters[index].name) for index in cause.own]
+    where = np.flatnonzero(np.isin(kept, own))
+    covariance = stated_covariance(found)[np.ix_(kept[where], kept[where])]
+    value = found.state.values[kept[where]] - found.model.nominal[kept[where]]
+    size = float(value @ np.linalg.lstsq(covariance, value, rcond=1e-12)[0]) if len(where) else 0.0
+    return float(chi2.sf(size, max(len(where), 1)))
+
+
+def _with_rivals(done: Search, number: int, without: frozenset[str]) -> Cause:
     """A cause with the hypotheses that explain the same beside the other causes."""
-    cause = causes[number]
-    rest = with_causes(study, _named(causes[:number] + causes[number + 1 :]))
-    begin = fitted(rest, rules.data, differences=rules.differences, begin=found)
-    rest, begin = with_noise_found(rest, begin, rules.gate)
-    asked = hypotheses(rest, begin.model, begin, without=rules.without)
-    own = cause.hypothesis
+    cause, own = done.causes[number], done.causes[number].hypothesis
+    rest = with_causes(done.base, _named(done.causes[:number] + done.causes[number + 1 :]))
+    begin = fitted(rest, done.last.data, differences=done.last.whitening.cancels, begin=done.last)
+    rest, begin = with_noise_found(rest, begin, done.gate)
+    asked = hypotheses(rest, begin.model, begin, without=without)
     others = [h for h in asked if h.entry != own.entry]
     seen = evidence(begin, tried(begin, (own, *others)))
     rivals: dict[str, Hypothesis] = {}

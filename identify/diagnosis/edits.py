@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from identify.arrays import Floats
+from identify.arrays import Floats, Ints
 from identify.experiment import Experiment, Measurements
 from identify.fit import OUTLYING, Fit
 from identify.model import respond
@@ -184,8 +184,8 @@ def _joints(reading: Reading) -> Iterator[Edit]:
     """Joint values in other units, or one of them mistyped."""
     experiment, whole = reading.data.experiment, _everything(reading)
     turning = ~reading.found.model.robot.prismatic
-    q = np.where(turning, experiment.q / DEG, experiment.q)
-    yield Edit("joint values in rad instead of deg", whole, experiment=replace(experiment, q=q))
+    in_deg = np.where(turning, experiment.q / DEG, experiment.q)
+    yield Edit("joint values in rad instead of deg", whole, experiment=replace(experiment, q=in_deg))
     for joint in range(experiment.q.shape[1]):
         for begin in (experiment.q[0, joint], -experiment.q[0, joint], 0.0):
             q = _typed(reading, joint, float(begin))
@@ -259,11 +259,12 @@ def _swapped(reading: Reading) -> Iterator[Edit]:
     experiment, given = reading.data.experiment, reading.data.positions
     names = experiment.markers.names
     shots = np.unique(experiment.row_shot)
-    for scope in [shots, *([shot] for shot in shots if len(shots) > 1)]:
+    scopes: list[Ints] = [shots, *(shots[number : number + 1] for number in range(len(shots)) if len(shots) > 1)]
+    for scope in scopes:
         inside = np.isin(experiment.row_shot, scope)
         for a, b in combinations(np.unique(experiment.row_marker[inside]), 2):
             changed, rows = given.copy(), np.zeros(len(given), dtype=bool)
-            for shot in np.atleast_1d(scope):
+            for shot in scope:
                 pair = [np.flatnonzero((experiment.row_shot == shot) & (experiment.row_marker == m)) for m in (a, b)]
                 if all(len(index) == 1 for index in pair):
                     first, second = int(pair[0][0]), int(pair[1][0])

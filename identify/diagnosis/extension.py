@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-from identify.diagnose.diagnosis import Diagnosis
-from identify.diagnose.library import Hypothesis
+from identify.diagnosis.library import Hypothesis
+from identify.diagnosis.verdict import Diagnosis
 from identify.problems import read_toml
 from identify.study import Tracker
 from identify.units import UM

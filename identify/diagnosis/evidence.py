@@ -172,7 +172,7 @@ class Evidence:
     @property
     def dof(self) -> int:
         """Whitened rows minus rank of the model."""
-        return len(self.residual) - self.basis.shape[1]
+        return len(self.residual) - int(self.basis.shape[1])
 
     def left_out(self, *blocks: int) -> float:
         """Sum of squares of the leave-one-visit-out errors with some blocks added to the model.

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
-from identify.diagnose.evidence import evidence
-from identify.diagnose.faults import Fault, faults, without_rows
-from identify.diagnose.gain import Gain, gain
-from identify.diagnose.gates import family_probabilities
-from identify.diagnose.search import Cause, Search, search, with_noise_found
-from identify.diagnose.spread import NoiseFound, RangeNoise, noise_found, range_noise
-from identify.diagnose.structure import patterns
+from identify.diagnosis.evidence import evidence
+from identify.diagnosis.faults import Fault, faults, without_rows
+from identify.diagnosis.gain import Gain, gain
+from identify.diagnosis.gates import family_probabilities
+from identify.diagnosis.search import Cause, Search, search, with_noise_found, with_rivals
+from identify.diagnosis.spread import NoiseFound, RangeNoise, noise_found, range_noise
+from identify.diagnosis.structure import patterns
 from identify.errors import NotIdentifiable
 from identify.experiment import Experiment, Measurements
 from identify.fit import Fit, fit, start
@@ -222,20 +223,15 @@ def _concluded(study: Study, clean: Measurements, rules: _Rules) -> _Conclusion:
 
 def _searched(study: Study, clean: Measurements, rules: _Rules) -> _Conclusion:
     """A search with the gate that the data allow, and what it leaves."""
-    trusting = search(study, clean, gate="holm", differences=rules.differences, rng=rules.rng(), without=rules.without)
+    search_by = partial(search, study, clean, differences=rules.differences, rng=rules.rng(), without=rules.without)
+    trusting = search_by(gate="holm", rivals=False)
     lack = lack_of_fit(trusting.last, np.zeros(0, dtype=np.int64))
-    if lack.p_value >= _REJECTED:
-        return _Conclusion(trusting, _remainder(trusting, lack, rules))
-    flipping = search(
-        study,
-        clean,
-        gate="flip",
-        differences=rules.differences,
-        rng=rules.rng(),
-        without=rules.without,
-        begin=trusting.first,
+    done = (
+        with_rivals(trusting, rules.without)
+        if lack.p_value >= _REJECTED
+        else search_by(gate="flip", begin=trusting.first)
     )
-    return _Conclusion(flipping, _remainder(flipping, lack_of_fit(flipping.last, np.zeros(0, dtype=np.int64)), rules))
+    return _Conclusion(done, _remainder(done, lack_of_fit(done.last, np.zeros(0, dtype=np.int64)), rules))
 
 
 def _remainder(done: Search, lack: LackOfFit, rules: _Rules) -> Remainder:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identify.arrays import Floats
-from identify.diagnose.search import Cause
+from identify.diagnosis.search import Cause
 from identify.experiment import Experiment, full_experiment
 from identify.identification import Identification
 from identify.model import respond

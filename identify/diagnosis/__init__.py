@@ -1,5 +1,5 @@
 """Diagnosis: what a simulation gets wrong, why, and what naming it gains."""
 
-from identify.diagnose.diagnosis import Diagnosis, diagnose
+from identify.diagnosis.verdict import Diagnosis, diagnose
 
 __all__ = ["Diagnosis", "diagnose"]

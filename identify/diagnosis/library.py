@@ -18,7 +18,6 @@ import numpy as np
 from identify.arrays import Floats, Ints, frozen
 from identify.effects import REGISTRY, Effect
 from identify.effects.joint_turns import axis_compliance
-from identify.experiment import Experiment
 from identify.fit import Fit
 from identify.model import Model, Response, added_columns, model_of
 from identify.study import Study
@@ -226,17 +225,17 @@ def _steps(study: Study, model: Model, found: Fit) -> Variants:
     experiment = found.data.experiment
     if experiment.time is None:
         return
-    first = _first_times(experiment)
+    first = _first_times(experiment.row_visit, experiment.time)
     middles = (first[1:] + first[:-1]) / 2
     inner = middles[2:-2]
     for number in np.unique(np.linspace(0, len(inner) - 1, _STEPS).round().astype(int)) if len(inner) else ():
         yield (), {"time_s": float(inner[number])}
 
 
-def _first_times(experiment: Experiment) -> Floats:
-    """Time of the first reading of each visit, ascending, s."""
-    first = np.full(len(experiment.visits), np.inf)
-    np.minimum.at(first, experiment.row_visit, experiment.time)
+def _first_times(visit: Ints, time: Floats) -> Floats:
+    """Time (s) of the first reading of each visit, ascending, from the visit and the time of every row."""
+    first = np.full(int(visit.max(initial=-1)) + 1, np.inf)
+    np.minimum.at(first, visit, time)
     return np.sort(first[np.isfinite(first)])
 
 

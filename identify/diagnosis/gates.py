@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from identify.arrays import Floats, Ints
-from identify.diagnose.evidence import Evidence
+from identify.diagnosis.evidence import Evidence
 
 __all__ = ["LEVELS", "Gate", "family_probabilities", "flip_probabilities", "holm_probabilities"]
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from identify.arrays import Floats
 from identify.csv_file import csv_text
-from identify.diagnose.diagnosis import Diagnosis
-from identify.diagnose.screen import recorded
+from identify.diagnosis.screen import recorded
+from identify.diagnosis.verdict import Diagnosis
 from identify.fit import Fit
 from identify.identification import misfit_of
 from identify.model import Response, respond

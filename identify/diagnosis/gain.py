@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identify.arrays import Floats, Ints
-from identify.diagnose.search import Search, fitted, search
+from identify.diagnosis.search import Search, fitted, search
 from identify.experiment import Measurements
 from identify.fit import Fit
 from identify.identification import misfit_of

@@ -1,6 +1,6 @@
 """Rows that are wrong as data: swapped, mislabelled, mistyped, in other units, or simply far off.
 
-A visit that does not fit is read again as it would be without one particular mistake (`identify.diagnose.edits`). The
+A visit that does not fit is read again as it would be without one particular mistake (`identify.diagnosis.edits`). The
 mistake that makes it fit as well as the other visits is named. What no such edit mends is left in, unless it is far
 beyond anything that the robot could do; then its rows are an outlier.
 """
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identify.arrays import Ints
-from identify.diagnose.edits import OUTLIER, Edit, Reading, edits, removals
+from identify.diagnosis.edits import OUTLIER, Edit, Reading, edits, removals
 from identify.experiment import Experiment, Measurements
 from identify.fit import OUTLYING, Fit
 from identify.selection import take_rows
