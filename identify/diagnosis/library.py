@@ -18,6 +18,7 @@ import numpy as np
 from identify.arrays import Floats, Ints, frozen
 from identify.effects import REGISTRY, Effect
 from identify.effects.joint_turns import axis_compliance
+from identify.experiment import Experiment
 from identify.fit import Fit
 from identify.model import Model, Response, added_columns, model_of
 from identify.study import Study
