@@ -183,7 +183,7 @@ class Evidence:
         added = self.directions(*blocks) if blocks else np.zeros((len(self.residual), 0))
         residual = self.residual - added @ (added.T @ self.residual)
         total = 0.0
-        for index, left in zip(self.visits.index, self._left, strict=True):
+        for index, left in zip(self.visits.index, self.left, strict=True):
             part = added[index]
             inside = left - part @ part.swapaxes(1, 2)
             error = np.linalg.solve(inside + _FLAT * np.eye(index.shape[1]), residual[index][..., None])
@@ -191,7 +191,7 @@ class Evidence:
         return total
 
     @cached_property
-    def _left(self) -> tuple[Floats, ...]:
+    def left(self) -> tuple[Floats, ...]:
         """``I - Q_i Q_i'`` of every visit, by groups."""
         parts = [self.basis[index] for index in self.visits.index]
         return tuple(np.eye(part.shape[1]) - part @ part.swapaxes(1, 2) for part in parts)
@@ -199,7 +199,7 @@ class Evidence:
     def outside(self) -> Floats:
         """Chi-square per row of each visit judged by all others, by number: ``r_i'(I - H_i)^-1 r_i / k``."""
         found = np.zeros(len(self.found.data.experiment.visits))
-        for index, names, left in zip(self.visits.index, self.visits.names, self._left, strict=True):
+        for index, names, left in zip(self.visits.index, self.visits.names, self.left, strict=True):
             part = self.residual[index][..., None]
             error = np.linalg.solve(left + _FLAT * np.eye(index.shape[1]), part)
             found[names] = (part * error).sum(axis=(1, 2)) / index.shape[1]

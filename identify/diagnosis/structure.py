@@ -3,8 +3,8 @@
 For every joint j and every recorded quantity x the residual is compared with an error of the joint's angle that is a
 smooth function of x alone, ``D_j f(x)``, and with an error that grows with the torque of the load,
 ``D_j t_j f(x)``. With f = sin, cos of the first multiples of a joint angle, or the first powers of time and
-temperature, such blocks stand for causes that no library holds. What they show is not named: it tells that, and on
-what, something still depends.
+temperature, such blocks stand for causes that no library holds; so do waves in time of the place of the instrument. What
+they show is not named: it tells that, and on what, something still depends.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ __all__ = ["Pattern", "patterns"]
 
 _TURNS = 3  # multiples of a joint angle
 _POWERS = 2  # of time and temperature
+_VISITS_A_WAVE, _WAVES = 3, 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,19 @@ def patterns(found: Fit) -> tuple[Pattern, ...]:
             turned = motion[:, joint, :, None] * shape[:, None, :]
             for columns in (turned, turned * torque[:, joint, None, None]):
                 made.append(Pattern(name, 1e-3 * columns, np.full(shape.shape[1], np.inf)))
-    return tuple(made)
+    return (*made, *_wandering(experiment))
+
+
+def _wandering(experiment: Experiment) -> Iterator[Pattern]:
+    """Waves in time of the place of the instrument, from one over all visits to one over three."""
+    if experiment.time is None or np.ptp(experiment.time) == 0:
+        return
+    phase = 2 * np.pi * (experiment.time - experiment.time.min()) / np.ptp(experiment.time)
+    waves = min(len(np.unique(experiment.row_visit)) // _VISITS_A_WAVE, _WAVES)
+    for wave in range(1, waves + 1):
+        shape = np.stack([np.sin(wave * phase), np.cos(wave * phase)], axis=1)
+        columns = (np.eye(3)[None, :, :, None] * shape[:, None, None, :]).reshape(len(phase), 3, 6)
+        yield Pattern("time_s", 1e-3 * columns, np.full(6, np.inf))
 
 
 def _functions(experiment: Experiment) -> Iterator[tuple[str, Floats]]:

@@ -11,7 +11,8 @@ import numpy as np
 from identify.diagnosis.evidence import evidence
 from identify.diagnosis.faults import Fault, faults, without_rows
 from identify.diagnosis.gain import Gain, gain
-from identify.diagnosis.gates import family_probabilities
+from identify.diagnosis.gates import family_probabilities, holm_probabilities
+from identify.diagnosis.scatter import uneven
 from identify.diagnosis.search import Cause, Search, search, with_noise_found, with_rivals
 from identify.diagnosis.spread import NoiseFound, RangeNoise, noise_found, range_noise
 from identify.diagnosis.structure import patterns
@@ -239,11 +240,16 @@ def _remainder(done: Search, lack: LackOfFit, rules: _Rules) -> Remainder:
     _, found = with_noise_found(done.study, done.last, done.gate)
     unnamed = patterns(found)
     seen = evidence(found, unnamed)
-    probability = family_probabilities(seen, done.gate, rules.rng(), np.ones(len(unnamed), dtype=bool))
-    strongest = min(range(len(unnamed)), key=lambda b: (probability[b], seen.score(b).p_value))
+    smooth = family_probabilities(seen, done.gate, rules.rng(), np.ones(len(unnamed), dtype=bool))
+    scattered = uneven(seen, rules.rng())
+    rough = holm_probabilities(np.array([part.p_value for part in scattered]))
+    where = [*(pattern.depends_on for pattern in unnamed), *(part.depends_on for part in scattered)]
+    probability = np.append(smooth, rough)
+    strength = np.append([seen.score(b).p_value for b in range(len(unnamed))], [part.p_value for part in scattered])
+    strongest = int(np.lexsort((strength, probability))[0])
     smallest = float(probability[strongest])
     if smallest < _PATTERN:
-        return Remainder(lack, True, unnamed[strongest].depends_on, smallest)
+        return Remainder(lack, True, where[strongest], smallest)
     too_wide = done.gate == "flip" and noise_found(done.last, done.study.noise).reading > _TOO_WIDE
     return Remainder(lack, too_wide, None, smallest)
 
