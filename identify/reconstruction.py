@@ -119,8 +119,8 @@ def reconstruct(
 
     Minimises ``sum_i |D_i^-1/2 (K_i - K_i0) D_i^-1/2|^2`` with ``D_i`` the diagonal of the prior ``K_i0``, over
     ``K_i >= margin D_i`` and ``matrix x = values``, by cvxpy and Clarabel. Intervals are the extremes of each element
-    over all positive semidefinite matrices that agree with the identified values as they are, proven by duality; the uncertainty of these
-    values is not in them.
+    over all positive semidefinite matrices that agree with the identified values as they are, each proven by
+    duality; the uncertainty of these values is not in them.
 
     Args:
         identified: What was identified.
