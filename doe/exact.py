@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from doe.attainable import most_experiments, most_rank, needed_rank, richest
 from doe.branch import MOST, branch_and_bound, possible
 from doe.column_generation import Found, best_weights
 from doe.local_search import Limits, Plan, Pool, exchange, fill, improve_from_all, iterate, make_pool
@@ -102,8 +103,11 @@ def exact_design(
     if effort not in EFFORTS:
         raise InputError(f"effort is {effort!r}, allowed: {', '.join(EFFORTS)}")
     with one_thread():
-        problem = _kept_regular(make_problem(blocks, target, criterion, None, prior, None))
+        problem = make_problem(blocks, target, criterion, None, prior, None)
         limits = _checked_limits(n, repeats, costs, budget, len(problem.blocks))
+        if most_rank(problem, limits) < needed_rank(problem, target, criterion):
+            _value(problem, target, criterion, prior, richest(problem, limits))  # says what is missing
+        problem = _kept_regular(problem, limits)
         problem, found = _relaxed(problem, limits)
         counts, bound, source = _search(problem, found, limits, EFFORTS[effort], np.random.default_rng(seed))
         value = _value(problem, target, criterion, prior, counts)
@@ -152,9 +156,17 @@ def _checked_count(n: Any) -> int:
     return value
 
 
-def _kept_regular(problem: Problem) -> Problem:
-    """Add a trace of the average information, so that small plans have a value; bounds stay bounds."""
-    return replace(problem, prior=problem.prior + 1e-9 * np.eye(len(problem.prior)))
+def _kept_regular(problem: Problem, limits: Limits) -> Problem:
+    """Add a trace of the average information, so that small plans have a value; bounds stay bounds.
+
+    A plan of candidates that far outweigh the average needs more, so that its information stays positive definite
+    in spite of rounding.
+    """
+    rank = len(problem.prior)
+    count = min(most_experiments(limits), len(problem.blocks))
+    largest = float(problem.sensitivities(np.eye(rank)).max()) * count + float(np.trace(problem.prior))
+    trace = max(1e-9, 16.0 * np.finfo(np.float64).eps * largest)
+    return replace(problem, prior=problem.prior + trace * np.eye(rank))
 
 
 def _relaxed(problem: Problem, limits: Limits) -> tuple[Problem, Found]:

@@ -19,6 +19,7 @@ __all__ = ["Limits", "Plan", "Pool", "exchange", "fill", "fits", "improve_from_a
 
 BETTER = 1.0 - 1e-9  # a smaller relative gain is rounding
 WIDE = 200  # experiments tried per round; more are tried weakest first
+LONGEST = 50  # exchanges per experiment of a plan; usual are one or two
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +70,13 @@ class Pool:
         return [int(j) for j in np.searchsorted(self.index, candidates)]
 
     def plan(self, members: list[int]) -> Plan:
-        """A plan of pool members, with its information and value."""
-        counts = np.bincount(members, minlength=len(self.index)).astype(np.float64)
-        weighted = self.rows * np.sqrt(counts)[:, None]
-        flat = weighted.reshape(-1, len(self.base))
+        """A plan of pool members, with its information and value; both depend on the members alone, to the last bit.
+
+        Information that a search carries along collects rounding errors instead. Where it is nearly singular they
+        decide the value: an exchange would gain from them again and again, without end.
+        """
+        distinct, counts = np.unique(np.array(members, dtype=np.int64), return_counts=True)
+        flat = (self.rows[:, distinct] * np.sqrt(counts)[:, None]).reshape(-1, len(self.base))
         information = self.base + flat.T @ flat
         return Plan(tuple(members), information, self.criterion.value(information))
 
@@ -110,19 +114,19 @@ def fill(pool: Pool, plan: Plan, per_cost: bool = False, banned: tuple[int, ...]
         values = pool.criterion.after_adding(plan.information, rows)
         score = np.log(np.maximum(values, 1e-300) / plan.value) / pool.costs[open_] if per_cost else values
         best = int(open_[int(np.argmin(score))])
-        plan = _changed(pool, (*plan.members, best), plan.information + pool.gram(best))
+        plan = pool.plan([*plan.members, best])
 
 
 def exchange(pool: Pool, plan: Plan) -> Plan:
-    """Exchange single experiments until none can be improved."""
-    waiting = _order(pool, plan)
-    while waiting:
+    """Exchange single experiments until none can be improved, `LONGEST` times their number at most."""
+    waiting, left = _order(pool, plan), LONGEST * (len(plan.members) + 1)
+    while waiting and left:
         out = waiting.pop(0)
         if out not in plan.members:
             continue
         better = _replaced(pool, plan, out)
         if better.value < plan.value * BETTER:
-            plan = better
+            plan, left = better, left - 1
             waiting = [*waiting, *(j for j in _order(pool, plan) if j not in waiting)]
     return plan
 
@@ -151,7 +155,7 @@ def improve_from_all(problem: Problem, pool: Pool, plan: Plan) -> tuple[Pool, Pl
     """
     found: list[int] = []
     for out in _order(pool, plan):
-        rest = plan.information - pool.gram(out)
+        rest = _without(pool, plan, out).information
         factor, threshold = problem.criterion.prospect(rest, plan.value * BETTER)
         d = problem.blocks.sensitivities(problem.space.basis @ factor)
         d[pool.index] = 0.0
@@ -176,9 +180,11 @@ def fits(pool: Pool, members: list[int], complete: bool = False) -> bool:
     return count_fits and within and (limits.repeats or len(set(members)) == len(members))
 
 
-def _changed(pool: Pool, members: tuple[int, ...], information: Floats) -> Plan:
-    """A plan with its value."""
-    return Plan(members, information, pool.criterion.value(information))
+def _without(pool: Pool, plan: Plan, out: int) -> Plan:
+    """A plan after taking out one experiment."""
+    members = list(plan.members)
+    members.remove(out)
+    return pool.plan(members)
 
 
 def _order(pool: Pool, plan: Plan) -> list[int]:
@@ -193,9 +199,7 @@ def _order(pool: Pool, plan: Plan) -> list[int]:
 
 def _replaced(pool: Pool, plan: Plan, out: int) -> Plan:
     """The best plan after taking out one experiment and filling up again."""
-    members = list(plan.members)
-    members.remove(out)
-    rest = _changed(pool, tuple(members), plan.information - pool.gram(out))
+    rest = _without(pool, plan, out)
     best = fill(pool, rest)
     if np.isfinite(pool.limits.budget):
         other = fill(pool, rest, per_cost=True)

@@ -6,7 +6,7 @@ Linear equations are solved once and for all, ``y = point + basis z``, so that e
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,12 +16,16 @@ from identify.arrays import Floats, Ints
 from identify.errors import NoConvergence
 from identify.positive_cone import Block, Cone
 
-__all__ = ["Affine", "affine", "closest", "extremes", "inside", "nearest_values", "shortfalls"]
+__all__ = ["Affine", "affine", "closest", "elements", "inside", "nearest_values", "shortfalls", "solutions"]
 
 _DEPENDENT = 1e-10  # singular values of unit rows below this are zero
 _CONTRADICTION = 1e-8
 _SLACK = 0.5  # of the margin, for the accuracy of the solver
-_DETERMINED = 1e-9
+_ATTEMPTS: tuple[dict[str, Any], ...] = (
+    {},
+    {"max_step_fraction": 0.9, "static_regularization_constant": 1e-7},
+    {"max_step_fraction": 0.8, "equilibrate_enable": False},
+)  # of Clarabel: usual settings, then shorter and stiffer steps, for problems with degenerate answers
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,44 +122,12 @@ def shortfalls(cone: Cone, space: Affine, margin: float) -> Floats:
         _matrix(block, space, z) + lack[i] * np.eye(len(block.columns)) >> margin * np.eye(len(block.columns))
         for i, block in enumerate(cone.blocks)
     ]
-    _solve(cp.Problem(cp.Minimize(cp.sum(lack)), limits))
-    return np.zeros(len(cone.blocks)) if lack.value is None else np.asarray(lack.value)
-
-
-def extremes(
-    cone: Cone, space: Affine, margin: float, bounds: tuple[Floats, Floats], wanted: Sequence[int]
-) -> tuple[Floats, Floats]:
-    """Smallest and largest possible values (w,) of some parameters.
-
-    Args:
-        cone: The cone.
-        space: Where y may be.
-        margin: Smallest eigenvalue.
-        bounds: (P,) and (P,) box around y; infinite where there is none.
-        wanted: Indices of the parameters.
-
-    Raises:
-        NoConvergence: The solver gave up.
-    """
-    found = np.empty((2, len(wanted)))
-    if not wanted:
-        return found[0], found[1]
-    import cvxpy as cp
-
-    z, direction = cp.Variable(space.basis.shape[1]), cp.Parameter(space.basis.shape[1])
-    y, boxed = space.basis @ z + space.point, np.flatnonzero(np.isfinite(bounds[1]))
-    limits = [*_possible(cone, space, z, margin), y[boxed] <= bounds[1][boxed], y[boxed] >= bounds[0][boxed]]
-    problem = cp.Problem(cp.Minimize(direction @ z), limits)
-    for place, index in enumerate(wanted):
-        size = float(np.linalg.norm(space.basis[index]))
-        for side, sign in enumerate((1.0, -1.0)):
-            found[side, place] = space.point[index]
-            if size > _DETERMINED:
-                direction.value = sign * space.basis[index] / size
-                if not _solve(problem):
-                    raise NoConvergence(f"the solver found no bound of {cone.names[index]}")
-                found[side, place] += sign * float(problem.value) * size
-    return found[0], found[1]
+    found = np.zeros(len(cone.blocks))
+    for status in solutions(cp.Problem(cp.Minimize(cp.sum(lack)), limits)):
+        found = found if lack.value is None else np.asarray(lack.value)
+        if status == "optimal":
+            break
+    return found
 
 
 def _possible(cone: Cone, space: Affine, z: Any, margin: float) -> list[Any]:
@@ -166,32 +138,51 @@ def _possible(cone: Cone, space: Affine, z: Any, margin: float) -> list[Any]:
     return limits + [_matrix(block, space, z) >> margin * np.eye(len(block.columns)) for block in larger]
 
 
+def elements(block: Block, space: Affine) -> tuple[Floats, Floats]:
+    """All elements of a block's matrix, row by row, as ``rows z + offset``: (k k, d) and (k k,)."""
+    size = len(block.columns) ** 2
+    return block.matrices(space.basis.T).reshape(-1, size).T, block.matrices(space.point).reshape(size)
+
+
+def solutions(problem: Any) -> Iterator[str]:
+    """Solve a cvxpy problem, and again with more careful settings each time the next status is asked for.
+
+    An interior-point method can step so close to the edge of a problem with a degenerate answer that rounding stops
+    it before it counts as solved; the last point is then often good, and the caller judges what it is worth.
+
+    Yields:
+        Status by cvxpy of each attempt that left an answer or a verdict.
+    """
+    import cvxpy as cp
+
+    for settings in _ATTEMPTS:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # inaccurate answers are judged by what they are worth
+            try:
+                problem.solve(solver=cp.CLARABEL, warm_start=False, accept_unknown=True, **settings)
+            except cp.SolverError:
+                continue  # the next attempt is more careful
+        yield str(problem.status)
+
+
 def _matrix(block: Block, space: Affine, z: Any) -> Any:
     """The matrix of a block as an expression of z."""
     import cvxpy as cp
 
+    rows, offset = elements(block, space)
     size = len(block.columns)
-    parts = block.matrices(space.basis.T)
-    fixed = block.matrices(space.point)
-    return cp.reshape(parts.reshape(-1, size * size).T @ z, (size, size), order="C") + fixed
+    return cp.reshape(rows @ z + offset, (size, size), order="C")
 
 
 def _answer(problem: Any, z: Any, cone: Cone, space: Affine, margin: float) -> Floats | None:
-    """The solution (P,) if there is one that is positive definite in truth."""
-    if not _solve(problem):
-        return None
-    y: Floats = space.point + space.basis @ z.value
-    return y if inside(cone, y, _SLACK * margin, 0.0) else None
-
-
-def _solve(problem: Any) -> bool:
-    """Solve; True if there is an answer."""
-    import cvxpy as cp
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # inaccurate answers are judged by what they are worth
-        try:
-            problem.solve(solver=cp.CLARABEL)
-        except cp.SolverError:
-            return False
-    return problem.status in {"optimal", "optimal_inaccurate"}
+    """The solution (P,) if there is one that is positive definite in truth; the first accurate one if there is."""
+    found: Floats | None = None
+    for status in solutions(problem):
+        if status == "infeasible":
+            break
+        if status in {"optimal", "optimal_inaccurate"}:
+            y: Floats = space.point + space.basis @ z.value
+            found = y if inside(cone, y, _SLACK * margin, 0.0) else found
+            if status == "optimal":
+                break
+    return found

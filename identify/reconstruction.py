@@ -14,7 +14,8 @@ from types import MappingProxyType
 import numpy as np
 
 from identify.arrays import Floats, frozen
-from identify.cone_problems import closest, extremes, nearest_values
+from identify.cone_extremes import extremes
+from identify.cone_problems import closest, nearest_values
 from identify.errors import InputError
 from identify.identifiability import triangle
 from identify.identification import Identification
@@ -118,8 +119,8 @@ def reconstruct(
 
     Minimises ``sum_i |D_i^-1/2 (K_i - K_i0) D_i^-1/2|^2`` with ``D_i`` the diagonal of the prior ``K_i0``, over
     ``K_i >= margin D_i`` and ``matrix x = values``, by cvxpy and Clarabel. Intervals are the extremes of each element
-    over all positive semidefinite matrices that agree with the identified values as they are; the uncertainty of these
-    values is not in them.
+    over all positive semidefinite matrices that agree with the identified values as they are, each proven by
+    duality; the uncertainty of these values is not in them.
 
     Args:
         identified: What was identified.
@@ -132,6 +133,7 @@ def reconstruct(
     Raises:
         InputError: A name that is no parameter, or a bound or margin out of range.
         Infeasible: No positive definite matrices agree with the values or with the constants.
+        NoConvergence: The solver found no bound of a parameter's freedom.
     """
     if not (bound > 1 and 0 < margin < 1):
         raise InputError(f"bound = {bound}, margin = {margin}: a bound above 1 and a margin between 0 and 1 expected")

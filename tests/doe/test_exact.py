@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from plain_design import brute_force, information, plans, value_of
 from reference_cases import reference_case
 
-from doe import exact_design
+from doe import exact_design, local_search
 from doe.branch import branch_and_bound
 from doe.local_search import Limits, make_pool
 from doe.problem import make_problem
@@ -196,6 +196,47 @@ def test_too_few_experiments_see_too_little(criterion):
     blocks, target = rng.normal(size=(20, 1, 4)), rng.normal(size=(2, 4))
     with pytest.raises(NotIdentifiable, match="3 experiments"):
         exact_design(blocks, target[None] if criterion == "G" else target, 1 + 2, criterion=criterion)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_too_few_rows_are_refused_before_any_search(criterion, monkeypatch):
+    """The rows of the plan, with those of the prior, are fewer than what has to be seen: nothing to search for."""
+    rng = np.random.default_rng(8)
+    blocks, target = rng.normal(size=(40, 2, 9)) * 10.0 ** rng.uniform(-3, 3, 9), rng.normal(size=(9, 9))
+    target = target[None] if criterion == "G" else target
+    prior = np.diag([2.0, *np.zeros(8)])
+    exact_design(blocks, target, 4, criterion=criterion, prior=prior, effort="low")
+    monkeypatch.setattr("doe.exact.best_weights", lambda *_: pytest.fail("searched"))
+    limits = [{"n": 4}, {"n": 3, "prior": prior}, {"n": None, "costs": np.ones(40), "budget": 4.5}]
+    for limit in limits:
+        with pytest.raises(NotIdentifiable, match="sees what criterion") as caught:
+            exact_design(blocks, target, criterion=criterion, **limit)
+        assert caught.value.missing
+
+
+@pytest.mark.parametrize("criterion", ["test_pose", "A", "D", "G"])
+@pytest.mark.parametrize("noise", [0.0, 1e-10])
+def test_a_search_among_plans_that_see_too_little_ends(criterion, noise, exchanges):
+    """Enough rows, but every third says nothing new beyond rounding: singular but for a trace, whatever is chosen."""
+    rng = np.random.default_rng(10)
+    blocks = np.zeros((200, 3, 12))
+    kind = np.arange(200) % 4  # each kind of candidate shows two of three parameters; two of a kind show them all
+    for j in range(4):
+        blocks[kind == j, :, 3 * j : 3 * j + 3] = rng.normal(size=(50, 3, 3))
+    blocks[:, 2] = blocks[:, :2].sum(axis=1) + noise * rng.normal(size=(200, 12))
+    target = rng.normal(size=(1, 12, 12) if criterion == "G" else (12, 12))
+    with pytest.raises(NotIdentifiable, match="no plan of 6 experiments"):
+        exact_design(blocks, target, 6, criterion=criterion)
+    assert exchanges
+
+
+def test_the_information_of_a_plan_does_not_depend_on_its_history():
+    rng = np.random.default_rng(11)
+    problem = make_problem(rng.normal(size=(30, 2, 8)), None, "A", None, None, None)
+    pool = make_pool(problem, 1e-9 * np.eye(8), np.arange(30), Limits(3, np.inf, np.ones(30), True))
+    found = local_search.exchange(pool, pool.plan([1, 1, 2]))  # six rows for eight parameters
+    assert found.value == pool.plan(sorted(found.members)).value
+    assert found.value == pool.plan(sorted(found.members, reverse=True)).value
 
 
 def test_a_budget_that_buys_nothing_is_infeasible():

@@ -233,6 +233,15 @@ def test_too_few_poses_are_refused_with_the_names_of_what_they_miss(tmp_path):
     assert all(str(name).startswith("geometry.") for name in caught.value.missing)
 
 
+@pytest.mark.parametrize("count", [4, 5, 6])
+def test_exchanges_do_not_feed_on_rounding(tmp_path, exchanges, count):
+    """15 parameters that seven poses show: with fewer, rounding decides between plans for the test pose."""
+    pool = build_pool(planar_geometry(tmp_path, poses=count), 0)
+    with pytest.raises(NotIdentifiable, match=f"no plan of {count} experiments"):
+        exact_design(pool.blocks, pool.objective.target(), count)
+    assert exchanges
+
+
 def test_plans_that_see_everything_carry_no_note(tmp_path):
     assert plan(study(tmp_path, KR270)).notes == ()
 

@@ -8,8 +8,9 @@ import pytest
 from reference_robots import gantry, kr270, mixed, seven_joints, study_of
 
 from identify.beams import Box, Tube, box_compliance, tube_compliance
+from identify.cone_extremes import extremes
 from identify.cone_problems import affine, inside
-from identify.errors import Infeasible, InputError
+from identify.errors import Infeasible, InputError, NoConvergence
 from identify.experiment import full_experiment
 from identify.identification import identify
 from identify.identified import Identified, identified_by_fit, identified_values
@@ -258,6 +259,47 @@ def test_levels_of_a_compensator_are_parameters_like_others(heavy):
     room = 1e-5 * np.abs(truth)
     assert (found.lower - room <= truth).all()
     assert (truth <= found.upper + room).all()
+
+
+def pair_of_springs():
+    """A link with k22, k66 and k26 and nothing identified: |y26| <= sqrt(y22 y66)."""
+    cone = cone_of(tuple(f"link_compliance.link1.{key}" for key in ("k22", "k66", "k26")), beam_prior(kr270()))
+    box = np.array([4.0, 9.0, np.inf])
+    return cone, affine(np.zeros((0, 3)), np.zeros(0), cone.prior, cone.weight), (-box, box)
+
+
+def test_the_freedom_of_a_pair_of_springs_has_a_closed_form():
+    cone, space, box = pair_of_springs()
+    low, high = extremes(cone, space, 0.0, box, [0, 1, 2])
+    np.testing.assert_allclose(low, [0, 0, -6], atol=1e-5)
+    np.testing.assert_allclose(high, [4, 9, 6], atol=1e-5)
+
+
+def test_an_inaccurate_solver_widens_intervals_and_never_narrows_them(monkeypatch):
+    """Stopped at gaps of 10 %, the solver's own values lie anywhere near the ends; what is proven lies outside."""
+    loose = {"tol_gap_abs": 0.1, "tol_gap_rel": 0.1, "tol_feas": 1e-4, "tol_ktratio": 0.1}
+    monkeypatch.setattr("identify.cone_problems._ATTEMPTS", (loose,))
+    monkeypatch.setattr("identify.cone_extremes._LOSS", 10.0)
+    cone, space, box = pair_of_springs()
+    low, high = extremes(cone, space, 0.0, box, [0, 1, 2])
+    assert (low <= [0, 0, -6]).all()
+    assert (high >= [4, 9, 6]).all()
+    assert max(high - [4, 9, 6]) > 1e-3, "the solver was inaccurate"
+    monkeypatch.setattr("identify.cone_problems._ATTEMPTS", (loose, {}))
+    _, better = extremes(cone, space, 0.0, box, [0, 1, 2])
+    np.testing.assert_allclose(better, [4, 9, 6], atol=1e-3)
+    assert max(better - [4, 9, 6]) < 0.1 * max(high - [4, 9, 6])
+
+
+def test_a_solver_that_gives_up_is_asked_again_with_more_care(monkeypatch):
+    """Three iterations are too few; the next settings solve it."""
+    cone, space, box = pair_of_springs()
+    monkeypatch.setattr("identify.cone_problems._ATTEMPTS", ({"max_iter": 3}, {"max_step_fraction": 0.9}))
+    _, high = extremes(cone, space, 0.0, box, [2])
+    assert high[0] == pytest.approx(6.0, abs=1e-5)
+    monkeypatch.setattr("identify.cone_problems._ATTEMPTS", ({"max_iter": 3},))
+    with pytest.raises(NoConvergence, match=r"no bound of link_compliance\.link1\.k26"):
+        extremes(cone, space, 0.0, box, [2])
 
 
 # ---- what cannot be
