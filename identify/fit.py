@@ -32,6 +32,7 @@ __all__ = ["OUTLYING", "Fit", "State", "absorb_frame", "fit", "settled_with", "s
 OUTLYING = 7.0  # P(chi(3) > 7) = 1.3e-10; model errors of real robots reach 6 robust sigmas
 _STEP = 1e-8  # converged when no step moves the fit by more than this many sigmas
 _SURELY = 0.1  # of this, where it is only foreseen
+_COARSE = 1e-3  # the same where a search compares models
 _NEARLY = 1e-4  # good enough where rounding does not let it come closer
 _CORNER = 1e-2  # sigmas: where only damped steps as short as this descend, and less than one is left to gain
 _FIRST_STEPS = 3  # before rows are judged anew
@@ -167,6 +168,7 @@ def fit(
     fitted: np.ndarray | None = None,
     reweigh: bool = True,
     like: Fit | None = None,
+    coarse: bool = False,
 ) -> Fit:
     """Fit the parameters of a model.
 
@@ -179,13 +181,14 @@ def fit(
         fitted: (p,) True for parameters to move; all by default.
         reweigh: Take influence from rows that do not fit; else the weights of ``state`` stay.
         like: Another fit of this model to these data, whose rows are in parts already.
+        coarse: Columns of first order and steps down to a thousandth of a sigma are enough, as for a search.
 
     Raises:
         NoConvergence: No convergence in the allowed steps; ``best`` holds the last fit.
     """
     free = np.ones(len(model.parameters), dtype=bool) if fitted is None else fitted
     parts = parts_of(model, data) if like is None else like.rows.problem.parts
-    problem = Problem(model, data, noise, free_offsets, free, parts)
+    problem = Problem(model, data, noise, free_offsets, free, parts, bending=not coarse)
     found = _evaluate(problem, state)
     if like is not None and np.array_equal(like.fitted, free):
         found = replace(found, rate=like.rate)
@@ -250,15 +253,16 @@ def _held(problem: Problem, found: Fit) -> Fit:
 def _gauss_newton(current: Fit, steps: int) -> Fit:
     """Steps for the parameters that are kept, damped (Marquardt) only where the plain step does not descend."""
     damping, before = 0.0, 0.0
+    enough = _STEP if current.rows.problem.bending else _COARSE
     for _ in range(steps):
         step, size = _step(current, damping)
         spread = max(1.0, (current.chi2 / max(current.dof, 1)) ** 0.5)
-        if size < _STEP * spread:
+        if size < enough * spread:
             return current
         rate = 1.0 if damping else min(size / before, 1.0) if before else current.rate
         left = max(0.0 if current.rows.problem.linear else rate * size, _EXACT * current.chi2**0.5)
         before, current = size, replace(current, went=max(current.went, size), rate=rate)
-        trial = _trial(current, step, last=left < _SURELY * _STEP * spread)
+        trial = _trial(current, step, last=left < _SURELY * enough * spread)
         descends = _chi2_seen_from(current, trial) < current.chi2 * (1.0 + _ROUNDING)
         short = bool(damping) and np.linalg.norm(current.upper @ step) < _CORNER * spread
         if size < spread and short:
@@ -269,7 +273,7 @@ def _gauss_newton(current: Fit, steps: int) -> Fit:
             return current  # what is left to gain is lost in rounding
         else:
             damping = max(100 * damping, 1e-10)
-    if size < _NEARLY * spread or steps < _MAX_STEPS:
+    if size < max(_NEARLY, enough) * spread or steps < _MAX_STEPS:
         return current
     raise NoConvergence(
         f"{current.data.source}: the fit still moves by {size:.2g} sigma after {_MAX_STEPS} steps; check units, "

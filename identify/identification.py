@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -216,26 +217,30 @@ def _compares_loads(data: Measurements) -> bool:
 
 
 def fit_differences(
-    study: Study, model: Model, data: Measurements, state: State | None = None, *, reweigh: bool = True
+    study: Study,
+    model: Model,
+    data: Measurements,
+    state: State | None = None,
+    *,
+    reweigh: bool = True,
+    coarse: bool = False,
 ) -> Fit:
     """Effects from changes within visits, frame and markers from the visits' offsets, in turn until both stand."""
     state = state or start(model, data)
     nuisance, noise = model.nuisance, study.noise
+    fit_to = partial(fit, model, data, noise, reweigh=reweigh, coarse=coarse)
     begin = _plain(state, model) if reweigh else state
-    found = fit(model, data, noise, begin, free_offsets=True, fitted=~nuisance, reweigh=reweigh)
+    found = fit_to(begin, free_offsets=True, fitted=~nuisance)
     if not nuisance.any():
         return found
     placed: Fit | None = None
     for _ in range(_ALTERNATIONS):
-        earlier, placed = (
-            placed,
-            fit(model, data, noise, found.state, fitted=nuisance, like=placed or found, reweigh=reweigh),
-        )
+        earlier, placed = placed, fit_to(found.state, fitted=nuisance, like=placed or found)
         settled = settled_with(found, placed, earlier) if earlier else None
         if settled:
             return settled
         before, begin = found.state, _with_weights(placed.state, found.state)
-        found = fit(model, data, noise, begin, free_offsets=True, fitted=~nuisance, like=found, reweigh=reweigh)
+        found = fit_to(begin, free_offsets=True, fitted=~nuisance, like=found)
         moved = np.abs(found.state.values - before.values)[~nuisance]
         if (moved <= 1e-9 * np.abs(found.state.values[~nuisance])).all():
             break

@@ -198,6 +198,7 @@ def respond(
     derivative: bool = True,
     wanted: np.ndarray | None = None,
     known: Scene | None = None,
+    bending: bool = True,
 ) -> Response:
     """Where every row should be read, and how that depends on the parameters.
 
@@ -208,6 +209,7 @@ def respond(
         derivative: Also compute the derivative.
         wanted: (p,) True for columns that are needed (all by default); others may be zero.
         known: `undeflected` of this model and experiment, where it is at hand.
+        bending: Columns count how geometry and markers bend the deflection, a matter of second order.
     """
     wanted = np.ones(len(model.parameters), dtype=bool) if wanted is None else wanted
     scene, deflection = deflected(model, experiment, values, known=known)
@@ -220,7 +222,7 @@ def respond(
     for column, part in through_columns(model, experiment, values, wanted):
         direct[:, :, column] = part
     columns = direct
-    if deflection.any():
+    if bending and deflection.any():
         columns = _with_bending(direct, model, experiment, values, scene, deflection, wanted)
     if model.frame_size and columns is not direct:
         columns[:, :, 3:6] = -MRAD * skew(position)

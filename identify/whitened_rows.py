@@ -77,6 +77,7 @@ class Problem:
         free_offsets: Only changes within a visit inform.
         free: (p,) True for parameters that may move.
         parts: The rows in parts.
+        bending: Columns count how geometry and markers bend the deflection, a matter of second order.
     """
 
     model: Model
@@ -85,6 +86,7 @@ class Problem:
     free_offsets: bool
     free: np.ndarray
     parts: tuple[Part, ...]
+    bending: bool = True
 
     @cached_property
     def chosen(self) -> slice | Ints:
@@ -256,8 +258,15 @@ def _each(parts: Sequence[T], work: Callable[[T], U]) -> list[U]:
 
 
 def _response(problem: Problem, part: Part, state: State, *, columns: bool = True) -> Response:
-    experiment, free = part.data.experiment, problem.free
-    return respond(problem.model, experiment, state.values, derivative=columns, wanted=free, known=part.scene)
+    return respond(
+        problem.model,
+        part.data.experiment,
+        state.values,
+        derivative=columns,
+        wanted=problem.free,
+        known=part.scene,
+        bending=problem.bending,
+    )
 
 
 def _residual(part: Part, state: State, response: Response) -> Floats:

@@ -2,8 +2,8 @@
 
 The stated noise shakes all joints alike. A cause that no library holds may depend on anything, so that no smooth
 function finds it; but it sits somewhere. For every joint j two random parts are compared with what the noise leaves:
-an error of the joint, new in each visit, ``D_j b_i``, and an error of its compliance, new in each visit, ``D_j t_j c_i``. With
-a_i the whitened column of visit i the score of such a part is
+an error of the joint, new in each visit, ``D_j b_i``, and an error of its compliance, new in each visit,
+``D_j t_j c_i``. With a_i the whitened column of visit i the score of such a part is
 
     Q = sum_i (a_i' r_i)^2 ,   distributed as  sum_i a_i'(I - H_i) a_i chi2_1  if it is absent
 

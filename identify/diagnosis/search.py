@@ -8,6 +8,7 @@ rival unless the cause is still significant after the rival was added to the mod
 
 from __future__ import annotations
 
+from collections.abc import Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from identify.diagnosis.evidence import Evidence, evidence
 from identify.diagnosis.gates import LEVELS, Gate, family_probabilities
 from identify.diagnosis.library import Hypothesis, finer, hypotheses, merged_options, tried
 from identify.diagnosis.spread import noise_found, scaled
+from identify.errors import NoConvergence
 from identify.experiment import Measurements
 from identify.fit import Fit, State, fit, start
 from identify.identification import fit_differences
@@ -102,8 +104,8 @@ def fitted(study: Study, data: Measurements, *, differences: bool, begin: Fit | 
     model = model_of(study)
     state = start(model, data) if begin is None else carried(begin, model, len(data.positions))
     if differences:
-        return fit_differences(study, model, data, state, reweigh=False)
-    return fit(model, data, study.noise, state, reweigh=False)
+        return fit_differences(study, model, data, state, reweigh=False, coarse=True)
+    return fit(model, data, study.noise, state, reweigh=False, coarse=True)
 
 
 def carried(begin: Fit, model: Model, rows: int) -> State:
@@ -140,13 +142,18 @@ def search(
     first = begin or fitted(study, data, differences=differences)
     found: Fit = first
     causes: tuple[Cause, ...] = ()
+    refused: set[str] = set()
     while len(causes) < _MOST:
-        entered = _next(rules, with_causes(study, _named(causes)), found)
+        entered = _next(rules, with_causes(study, _named(causes)), found, refused)
         if entered is None:
             break
-        causes = (*causes, entered)
-        found = fitted(with_causes(study, _named(causes)), data, differences=differences, begin=found)
-        causes, found = _pruned(rules, study, causes, found)
+        larger = (*causes, entered)
+        try:
+            wider = fitted(with_causes(study, _named(larger)), data, differences=differences, begin=found)
+        except NoConvergence:
+            refused.add(entered.hypothesis.entry)  # what cannot be fitted explains nothing
+            continue
+        causes, found = _pruned(rules, study, larger, wider)
     done = Search(with_causes(study, _named(causes)), study, first, found, causes, gate)
     return with_rivals(done, without) if rivals else done
 
@@ -160,10 +167,11 @@ def _named(causes: tuple[Cause, ...]) -> tuple[Hypothesis, ...]:
     return tuple(cause.hypothesis for cause in causes)
 
 
-def _next(rules: _Rules, study: Study, found: Fit) -> Cause | None:
+def _next(rules: _Rules, study: Study, found: Fit, refused: Set[str]) -> Cause | None:
     """The cause that enters next, None if no block passes."""
     study, found = with_noise_found(study, found, rules.gate)
-    asked = hypotheses(study, found.model, found, without=rules.without)
+    every = hypotheses(study, found.model, found, without=rules.without)
+    asked = tuple(hypothesis for hypothesis in every if hypothesis.entry not in refused)
     seen = evidence(found, tried(found, asked))
     possible = np.array([_is_plausible(seen, block, hypothesis) for block, hypothesis in enumerate(asked)], dtype=bool)
     probability = family_probabilities(seen, rules.gate, rules.rng, possible)

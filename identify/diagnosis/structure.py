@@ -3,8 +3,8 @@
 For every joint j and every recorded quantity x the residual is compared with an error of the joint's angle that is a
 smooth function of x alone, ``D_j f(x)``, and with an error that grows with the torque of the load,
 ``D_j t_j f(x)``. With f = sin, cos of the first multiples of a joint angle, or the first powers of time and
-temperature, such blocks stand for causes that no library holds; so do waves in time of the place of the instrument. What
-they show is not named: it tells that, and on what, something still depends.
+temperature, such blocks stand for causes that no library holds; so do waves in time of the place of the instrument.
+What they show is not named: it tells that, and on what, something still depends.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ __all__ = ["Diagnosis", "Remainder", "Verdict", "diagnose", "known_reference"]
 
 Verdict = Literal["adequate", "cause_found", "ambiguous", "unexplained"]
 
-_REJECTED = 1e-3  # stated noise is not trusted if chi2 is this improbable
+_REJECTED = 1e-2  # stated noise is not trusted if chi2 is this improbable
 _PATTERN = 0.005  # of unnamed patterns
 _RANGE = 1e-3
 _HALF = 0.5  # of the excess chi-square that named causes must remove
