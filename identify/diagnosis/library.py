@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from identify.effects import REGISTRY, Effect
 from identify.effects.joint_turns import axis_compliance
 from identify.experiment import Experiment
 from identify.fit import Fit
-from identify.model import Model, Response, added_columns, model_of
+from identify.model import Model, Response, added_columns, model_of, with_effect
 from identify.study import Study
 
 __all__ = ["Hypothesis", "Tried", "columns_of", "finer", "hypotheses", "merged_options", "tried"]
@@ -31,8 +31,11 @@ _COMPONENTS = re.compile(r"\.[xyz]$")
 _BY_NAME = ("marker_seating", "load_level")  # their places are ids of the study
 _TOGETHER = ("geometry", "thermal_growth", "wrist_coupling")  # also tried at all their places at once
 _KNEES = (0.08, 0.25)  # shares of the largest torque on the joint
+_FRICTION = (0.0, 0.05, 0.15, 0.4)  # shares of the largest torque of the load on the joint
+_SATURATIONS = (0.25, 0.5)  # shares of the largest torque on the joint
 _STEPS = 40  # times at which the instrument may have been knocked
 _WARM_UP_H = (0.5, 1.0, 2.0)
+_SCALED = {"knee_Nm", "knee_N", "saturation_Nm", "saturation_N", "tau_h"}
 _FINER = (0.5, 0.7, 0.85, 1.2, 1.4, 2.0)  # times the value found so far
 
 
@@ -46,6 +49,7 @@ class Hypothesis:
         options: Options of the effect that belong to this place.
         effect: The effect, bound beside the effects of the model.
         own: (b,) its parameters at this place.
+        chord: Size of its one parameter, in its unit, up to which a nonlinear effect is tried as a whole; 0: its slope.
     """
 
     name: str
@@ -53,6 +57,7 @@ class Hypothesis:
     options: Mapping[str, Any]
     effect: Effect
     own: Ints
+    chord: float = 0.0
 
     @property
     def entry(self) -> str:
@@ -97,13 +102,21 @@ def columns_of(
         experiment: The rows.
         values: (p,) parameters of the model in their units.
     """
-    columns: dict[int, Floats] = {}
-    for hypothesis in asked:
-        effect = hypothesis.effect
-        if id(effect) not in columns:
+    slopes: dict[int, Floats] = {}
+    for effect in (hypothesis.effect for hypothesis in asked if not hypothesis.chord):
+        if id(effect) not in slopes:
             every = np.arange(len(effect.parameters))
-            columns[id(effect)] = added_columns(model, effect, every, response, experiment, values)
-    return tuple(columns[id(h.effect)][:, :, h.own] for h in asked)
+            slopes[id(effect)] = added_columns(model, effect, every, response, experiment, values)
+    return tuple(_chord(h, model, response, values) if h.chord else slopes[id(h.effect)][:, :, h.own] for h in asked)
+
+
+def _chord(asked: Hypothesis, model: Model, response: Response, values: Floats) -> Floats:
+    """Column (R, 3, 1) of a nonlinear effect from zero to its chord, m per unit."""
+    size = np.zeros(len(asked.effect.parameters))
+    size[asked.own] = asked.chord
+    inputs = with_effect(model, asked.effect).effect_inputs[-1]
+    moved = asked.effect.displacement(response.scene, np.append(values, size)[inputs])
+    return np.asarray(moved[:, :, None] / asked.chord)
 
 
 def hypotheses(
@@ -122,7 +135,7 @@ def hypotheses(
     for name in REGISTRY:
         if name in without:
             continue
-        for places, options in _variants(name, study, model, found):
+        for places, options, chord in _variants(name, study, model, found):
             effect = _bound(study, name, places, options)
             groups: dict[str | None, list[int]] = {}
             for index, parameter in enumerate(effect.parameters):
@@ -131,7 +144,7 @@ def hypotheses(
             if name in _TOGETHER and len(groups) > 1:
                 groups[None] = [index for own in groups.values() for index in own]
             asked += [
-                Hypothesis(name, where, MappingProxyType(dict(options)), effect, frozen(own, np.int64))
+                Hypothesis(name, where, MappingProxyType(dict(options)), effect, frozen(own, np.int64), chord)
                 for where, own in groups.items()
             ]
     return tuple(asked)
@@ -167,16 +180,24 @@ def _place(name: str, parameter: str) -> str | None:
     return first if _PLACE.fullmatch(first) and first != _EVERYWHERE else None
 
 
-def _variants(name: str, study: Study, model: Model, found: Fit) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
+def _variants(name: str, study: Study, model: Model, found: Fit) -> Variants:
     """Places (empty: all) and options with which an effect is tried."""
     special = _SPECIAL.get(name)
     if special is not None:
         yield from special(study, model, found)
     elif name != "joint_cross_compliance" or study.robot.n > 1:
-        yield (), {}
+        yield Variant()
 
 
-Variants = Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]
+class Variant(NamedTuple):
+    """Places (empty: all), options, and the chord of a nonlinear effect."""
+
+    places: tuple[str, ...] = ()
+    options: Mapping[str, Any] = MappingProxyType({})
+    chord: float = 0.0
+
+
+Variants = Iterator[Variant]
 
 
 def _links(study: Study, model: Model, found: Fit) -> Variants:
@@ -184,27 +205,28 @@ def _links(study: Study, model: Model, found: Fit) -> Variants:
     places = tuple(f"link{link}" for link in range(1, study.robot.n))
     for template in (["k44", "k55", "k66"], "beam"):
         if places:
-            yield places, {"template": template}
+            yield Variant(places, {"template": template})
 
 
 def _masses(study: Study, model: Model, found: Fit) -> Variants:
     """A mass at its stated centre, and one whose centre is wrong too."""
     for components in (["mass"], ["mass", "mx", "my", "mz"]):
-        yield (), {"components": components}
+        yield Variant(options={"components": components})
 
 
 def _compensators(study: Study, model: Model, found: Fit) -> Variants:
     """A spring beside joint 2: as the study describes it, else of unknown geometry."""
     joints = [joint for joint in _yielding(study, model) if joint == 1]
     if joints and not study.robot.prismatic[1]:
-        yield ("j2",), {} if "gravity_compensator" in study.options else {"mode": "harmonics"}
+        yield Variant(("j2",), {} if "gravity_compensator" in study.options else {"mode": "harmonics"})
 
 
 def _sticking(study: Study, model: Model, found: Fit) -> Variants:
-    """Joints of which the model knows a compliance."""
-    places = tuple(f"j{joint + 1}" for joint in _yielding(study, model))
-    if places:
-        yield places, {}
+    """Joints of which the model knows a compliance, with friction from nothing to a good share of the load."""
+    largest = np.abs(found.response.scene.load_on_joints).max(axis=0)
+    for joint in _yielding(study, model):
+        for share in _FRICTION if largest[joint] > 0 else ():
+            yield Variant((f"j{joint + 1}",), chord=float(share * largest[joint]))
 
 
 def _knees(study: Study, model: Model, found: Fit) -> Variants:
@@ -212,13 +234,27 @@ def _knees(study: Study, model: Model, found: Fit) -> Variants:
     largest = np.abs(found.response.scene.joints.torque).max(axis=0)
     for joint in np.flatnonzero(largest > 0):
         for share in _KNEES:
-            yield (f"j{joint + 1}",), {"knee_Nm": float(share * largest[joint])}
+            yield Variant((f"j{joint + 1}",), {_key("knee", study, joint): float(share * largest[joint])})
+
+
+def _hardening(study: Study, model: Model, found: Fit) -> Variants:
+    """By the cube of the torque, or to a final stiffness."""
+    yield Variant()
+    largest = np.abs(found.response.scene.joints.torque).max(axis=0)
+    for joint in np.flatnonzero(largest > 0):
+        for share in _SATURATIONS:
+            yield Variant((f"j{joint + 1}",), {_key("saturation", study, joint): float(share * largest[joint])})
+
+
+def _key(word: str, study: Study, joint: int) -> str:
+    """An option that is a torque, or a force where the joint slides."""
+    return f"{word}_{'N' if study.robot.prismatic[joint] else 'Nm'}"
 
 
 def _orders(study: Study, model: Model, found: Fit) -> Variants:
     """Errors once or twice a turn, or both."""
     for orders in ([1.0], [2.0], [1.0, 2.0]):
-        yield tuple(f"j{joint + 1}" for joint in np.flatnonzero(~study.robot.prismatic)), {"orders": orders}
+        yield Variant(tuple(f"j{joint + 1}" for joint in np.flatnonzero(~study.robot.prismatic)), {"orders": orders})
 
 
 def _steps(study: Study, model: Model, found: Fit) -> Variants:
@@ -230,7 +266,7 @@ def _steps(study: Study, model: Model, found: Fit) -> Variants:
     middles = (first[1:] + first[:-1]) / 2
     inner = middles[2:-2]
     for number in np.unique(np.linspace(0, len(inner) - 1, _STEPS).round().astype(int)) if len(inner) else ():
-        yield (), {"time_s": float(inner[number])}
+        yield Variant(options={"time_s": float(inner[number])})
 
 
 def _first_times(visit: Ints, time: Floats) -> Floats:
@@ -244,10 +280,10 @@ def _warming(study: Study, model: Model, found: Fit) -> Variants:
     """By temperature where it was read, else warm-up by several time constants."""
     experiment = found.data.experiment
     if experiment.temperature is not None:
-        yield (), {}
+        yield Variant()
     elif experiment.time is not None:
         for hours in _WARM_UP_H:
-            yield (), {"driver": "time", "tau_h": hours}
+            yield Variant(options={"driver": "time", "tau_h": hours})
 
 
 def _yielding(study: Study, model: Model) -> list[int]:
@@ -257,6 +293,7 @@ def _yielding(study: Study, model: Model) -> list[int]:
 
 _SPECIAL: dict[str, Callable[[Study, Model, Fit], Variants]] = {
     "gravity_compensator": _compensators,
+    "joint_hardening": _hardening,
     "joint_windup": _knees,
     "link_compliance": _links,
     "link_mass": _masses,
@@ -270,10 +307,9 @@ _SPECIAL: dict[str, Callable[[Study, Model, Fit], Variants]] = {
 def finer(hypothesis: Hypothesis, study: Study, found: Fit) -> tuple[Hypothesis, ...]:
     """The same cause at the same place with values near the one found so far of a number that no linear test finds."""
     experiment, options = found.data.experiment, hypothesis.options
-    if "knee_Nm" in options:
-        changed = [{"knee_Nm": options["knee_Nm"] * factor} for factor in _FINER]
-    elif "tau_h" in options:
-        changed = [{**options, "tau_h": options["tau_h"] * factor} for factor in _FINER]
+    scaled = options.keys() & _SCALED
+    if scaled:
+        changed = [{**options, **{key: options[key] * factor for key in scaled}} for factor in _FINER]
     elif "time_s" in options and experiment.time is not None:
         times = np.unique(experiment.time)
         middles = (times[1:] + times[:-1]) / 2

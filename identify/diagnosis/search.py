@@ -8,8 +8,9 @@ rival unless the cause is still significant after the rival was added to the mod
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -92,7 +93,14 @@ def with_causes(study: Study, causes: tuple[Hypothesis, ...]) -> Study:
     return study
 
 
-def fitted(study: Study, data: Measurements, *, differences: bool, begin: Fit | None = None) -> Fit:
+def fitted(
+    study: Study,
+    data: Measurements,
+    *,
+    differences: bool,
+    begin: Fit | None = None,
+    sizes: Mapping[str, float] = MappingProxyType({}),
+) -> Fit:
     """The model of a study fitted to rows that all count alike.
 
     Args:
@@ -100,17 +108,18 @@ def fitted(study: Study, data: Measurements, *, differences: bool, begin: Fit | 
         data: The rows.
         differences: Only changes within a visit inform.
         begin: A fit of a similar model, whose values are where the new one starts.
+        sizes: Where parameters start that the similar model does not have, by name.
     """
     model = model_of(study)
-    state = start(model, data) if begin is None else carried(begin, model, len(data.positions))
+    state = start(model, data) if begin is None else carried(begin, model, len(data.positions), sizes)
     if differences:
         return fit_differences(study, model, data, state, reweigh=False, coarse=True)
     return fit(model, data, study.noise, state, reweigh=False, coarse=True)
 
 
-def carried(begin: Fit, model: Model, rows: int) -> State:
-    """The values of a fit in another model."""
-    known = dict(zip(begin.model.names, begin.state.values, strict=True))
+def carried(begin: Fit, model: Model, rows: int, sizes: Mapping[str, float] = MappingProxyType({})) -> State:
+    """The values of a fit in another model; nominal, or as in ``sizes``, what the fit does not have."""
+    known = {**sizes, **dict(zip(begin.model.names, begin.state.values.tolist(), strict=True))}
     values = np.array([known.get(p.name, p.nominal) for p in model.parameters])
     return State(values, begin.state.base_T_measurement, np.ones(rows))
 
@@ -144,12 +153,12 @@ def search(
     causes: tuple[Cause, ...] = ()
     refused: set[str] = set()
     while len(causes) < _MOST:
-        entered = _next(rules, with_causes(study, _named(causes)), found, refused)
+        entered, sizes = _next(rules, with_causes(study, _named(causes)), found, refused)
         if entered is None:
             break
         larger = (*causes, entered)
         try:
-            wider = fitted(with_causes(study, _named(larger)), data, differences=differences, begin=found)
+            wider = fitted(with_causes(study, _named(larger)), data, differences=differences, begin=found, sizes=sizes)
         except NoConvergence:
             refused.add(entered.hypothesis.entry)  # what cannot be fitted explains nothing
             continue
@@ -167,8 +176,8 @@ def _named(causes: tuple[Cause, ...]) -> tuple[Hypothesis, ...]:
     return tuple(cause.hypothesis for cause in causes)
 
 
-def _next(rules: _Rules, study: Study, found: Fit, refused: Set[str]) -> Cause | None:
-    """The cause that enters next, None if no block passes."""
+def _next(rules: _Rules, study: Study, found: Fit, refused: Set[str]) -> tuple[Cause | None, Mapping[str, float]]:
+    """The cause that enters next, None if no block passes; and where a nonlinear one starts."""
     study, found = with_noise_found(study, found, rules.gate)
     every = hypotheses(study, found.model, found, without=rules.without)
     asked = tuple(hypothesis for hypothesis in every if hypothesis.entry not in refused)
@@ -177,15 +186,18 @@ def _next(rules: _Rules, study: Study, found: Fit, refused: Set[str]) -> Cause |
     probability = family_probabilities(seen, rules.gate, rules.rng, possible)
     passed = np.flatnonzero(probability < LEVELS[rules.gate])
     if not len(passed):
-        return None
+        return None, {}
     scores = [seen.score(int(block)) for block in passed]
     order = np.lexsort(([-score.value for score in scores], [score.p_value for score in scores]))
     shortlist = passed[order][:_SHORTLIST]
     errors = [seen.left_out(int(block)) for block in shortlist]
     best = int(shortlist[int(np.argmin(errors))])
     if rules.gate == "flip" and min(errors) > (1 - _WORTH) * seen.left_out():
-        return None
-    return Cause(_polished(rules, study, found, asked[best], seen.score(best).value), float(probability[best]))
+        return None, {}
+    chosen = _polished(rules, study, found, asked[best], seen.score(best).value)
+    names = [chosen.effect.parameters[index].name for index in chosen.own]
+    sizes = dict(zip(names, seen.sizes(best)[0].tolist(), strict=True)) if chosen.chord else {}
+    return Cause(chosen, float(probability[best])), sizes
 
 
 def with_noise_found(study: Study, found: Fit, gate: Gate) -> tuple[Study, Fit]:

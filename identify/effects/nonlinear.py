@@ -3,7 +3,7 @@
 ``t_j`` is the torque of load and self-weight on joint j, ``t_j^w`` its load part, ``D_j`` the motion of a marker per
 unit of the joint. Each effect adds to what the linear springs of other effects say:
 
-    joint_hardening     D_j h t_j^3                         joint_windup    D_j A tanh(t_j / t_0)
+    joint_hardening     D_j h t_j^3 / (1 + (t_j / t_s)^2)   joint_windup    D_j A tanh(t_j / t_0)
     backlash            D_j b sgn(t_j)                      stiction        -c_j D_j clip(t_j^w, -t_f, t_f)
 
 Windup is the soft first part of a gear's torsion curve (catalogues of strain wave and cycloidal gears give two or
@@ -31,6 +31,7 @@ from identify.effects.joint_turns import (
     joint_options,
     joint_turns,
 )
+from identify.effects.options import number
 from identify.effects.places import joint_places
 from identify.errors import InputError
 from identify.robot import Robot
@@ -49,25 +50,37 @@ _NO_TORQUE, _NO_SHARE = 1e-6, 1e-5  # Nm or N; of the largest in a shot
 
 
 def joint_hardening(binding: Binding) -> Effect:
-    """Gears that stiffen with torque: ``D_j h t_j^3``; h < 0 is stiffer at high torque.
+    """Gears that stiffen with torque: ``D_j h t_j^3 / (1 + (t_j / t_s)^2)``; h < 0 is stiffer at high torque.
 
-    Parameters ``joint_hardening.j<i>``, urad/kNm^3 (um/kN^3 of sliding joints). Typical: 5 to 20 % of the joint's
+    Below the torque t_s the joint hardens by the cube, far above it is linear again with its final stiffness.
+
+    Parameters ``joint_hardening.j<i>`` (h), urad/kNm^3 (um/kN^3 of sliding joints). Typical: 5 to 20 % of the joint's
     linear deflection at its largest torque, which is 1 to 10 urad/kNm^3 for 0.3 urad/Nm at 3 kNm.
 
+    Options, also in ``[model.joint_hardening.j<i>]``: ``saturation_Nm`` (``saturation_N`` for sliding joints), t_s;
+    default: none, the cube alone.
+
     Args:
-        binding: Robot and places ``j1 ... jn``; no options.
+        binding: Robot, places ``j1 ... jn`` and options.
+
+    Raises:
+        InputError: Unknown option, or a saturation that is not above 0.
     """
     name = "joint_hardening"
 
     def part(joint: int) -> JointTurn:
         parameter = _parameter(binding.robot, joint, f"{name}.j{joint + 1}", _HARDENING)
+        key = "saturation_N" if binding.robot.prismatic[joint] else "saturation_Nm"
+        options = joint_options(name, ("saturation_Nm", "saturation_N"), binding.options, joint)
+        final = number(name, options, key, math.inf, least=0.0)
 
         def turn(scene: Scene, values: Floats) -> tuple[Floats, Floats]:
-            return _linear(parameter.scale * scene.joint_torque[:, joint] ** 3, values)
+            torque = scene.joint_torque[:, joint]
+            return _linear(parameter.scale * torque**3 / (1.0 + (torque / final) ** 2), values)
 
         return JointTurn(joint, (parameter,), turn, _unmoved(binding.robot, joint), linear=True)
 
-    return _joints(name, binding, part)
+    return _joints(name, binding, part, ("saturation_Nm", "saturation_N"))
 
 
 def joint_windup(binding: Binding) -> Effect:

@@ -25,12 +25,14 @@ def check_keys(effect: str, options: Mapping[str, Any], *allowed: str) -> None:
 
 
 def number(effect: str, options: Mapping[str, Any], key: str, default: float, *, least: float = -np.inf) -> float:
-    """A number among the options.
+    """A number among the options; the default where it is not given.
 
     Raises:
         InputError: It is no number, or not above ``least``.
     """
-    value = options.get(key, default)
+    if key not in options:
+        return default
+    value = options[key]
     if not is_number(value) or not least < value < np.inf:
         bound = f" above {least:g}" if np.isfinite(least) else ""
         raise InputError(f"[model.{effect}] {key} = {value!r}: a finite number{bound} expected")
