@@ -18,6 +18,7 @@ from identify.lack_of_fit import LackOfFit, lack_of_fit
 from identify.model import Model, model_of, respond
 from identify.selection import load_changes, rows_of_visits, take_rows
 from identify.study import Study
+from identify.tails import norm_ppf, student_ppf
 from identify.threads import one_thread
 from identify.uncertainty import load_share, stated_covariance, visit_covariance
 
@@ -281,16 +282,14 @@ def _check_enough(found: Fit) -> None:
 
 def _uncertainty(found: Fit, lack: LackOfFit) -> tuple[Floats, Literal["stated noise", "pose-clustered"], float]:
     """Covariance of all parameters, its kind and the quantile of the intervals."""
-    from scipy.stats import norm, t
-
     kind: Literal["stated noise", "pose-clustered"] = "stated noise"
-    quantile = float(norm.ppf(0.975))
+    quantile = norm_ppf(0.975)
     if lack.p_value >= _REJECTED:
         covariance = stated_covariance(found)
     else:
         kind = "pose-clustered"
         covariance, clusters = visit_covariance(found)
-        quantile = float(t.ppf(0.975, max(clusters - 1, 1)))
+        quantile = student_ppf(0.975, max(clusters - 1, 1))
     return covariance + load_share(found), kind, quantile
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from identify.arrays import Floats, Ints
 from identify.fit import Fit
+from identify.tails import chi2_sf
 from identify.uncertainty import load_changes_by_sigma, off_columns
 
 __all__ = ["LackOfFit", "lack_of_fit"]
@@ -44,8 +45,6 @@ def lack_of_fit(found: Fit, left_out: Ints) -> LackOfFit:
         found: The fit.
         left_out: Rows that do not fit and do not count.
     """
-    from scipy.stats import chi2
-
     loads = off_columns(found, load_changes_by_sigma(found))
     both = np.column_stack([found.whitened, loads])
     lost = _project_off(found, left_out, both)
@@ -53,7 +52,7 @@ def lack_of_fit(found: Fit, left_out: Ints) -> LackOfFit:
     gained = loads.T @ rest
     total = float(rest @ rest - gained @ np.linalg.solve(np.eye(len(gained)) + loads.T @ loads, gained))
     dof = max(found.dof - lost, 1)
-    return LackOfFit(total, dof, float(chi2.sf(total, dof)))
+    return LackOfFit(total, dof, float(chi2_sf(total, dof)))
 
 
 def _project_off(found: Fit, left_out: Ints, whitened: Floats) -> int:

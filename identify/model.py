@@ -145,8 +145,13 @@ def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapp
     return Model(study.robot, bound, parameters, len(frame), len(markers), study.robot.masses_known, loaded)
 
 
-def effects_of(study: Study, names: tuple[str, ...]) -> tuple[Effect, ...]:
+def effects_of(study: Study, names: tuple[str, ...], others: tuple[Effect, ...] = ()) -> tuple[Effect, ...]:
     """A list of effects, bound to what the study says.
+
+    Args:
+        study: The study.
+        names: The list.
+        others: Effects that are bound already and that these may lean on.
 
     Raises:
         InputError: Unknown effect, place or option.
@@ -158,6 +163,7 @@ def effects_of(study: Study, names: tuple[str, ...]) -> tuple[Effect, ...]:
         flange=not study.markers_fitted,
         loads=study.loads,
         markers=study.markers,
+        others=others,
     )
 
 

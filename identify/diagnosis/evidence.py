@@ -20,6 +20,7 @@ import numpy as np
 
 from identify.arrays import Floats, Ints
 from identify.fit import Fit
+from identify.tails import chi2_sf
 
 __all__ = ["Block", "Evidence", "Score", "Visits", "evidence", "visits_of"]
 
@@ -56,9 +57,7 @@ class Score:
     @property
     def p_value(self) -> float:
         """Probability of a score this large if nothing is missing and the covariance is right."""
-        from scipy.stats import chi2
-
-        return float(chi2.sf(self.value, self.dof)) if self.dof else 1.0
+        return float(chi2_sf(self.value, self.dof)) if self.dof else 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ import numpy as np
 
 from identify.arrays import Floats, Ints
 from identify.diagnosis.evidence import Evidence
+from identify.tails import chi2_sf
 
 __all__ = ["LEVELS", "Gate", "family_probabilities", "flip_probabilities", "holm_probabilities"]
 
@@ -54,7 +55,9 @@ def family_probabilities(evidence: Evidence, gate: Gate, rng: np.random.Generato
         rng: Random numbers of the flips.
         possible: (m,) False for blocks that are no explanation however well they fit.
     """
-    single = np.array([evidence.score(block).p_value for block in range(len(possible))])
+    scores = [evidence.score(block) for block in range(len(possible))]
+    dof = np.array([score.dof for score in scores])
+    single = np.where(dof > 0, chi2_sf([score.value for score in scores], np.maximum(dof, 1)), 1.0)
     found = np.where(possible, holm_probabilities(single), 1.0)
     if gate == "flip":
         passed = np.flatnonzero(found < LEVELS[gate])
@@ -85,8 +88,6 @@ def flip_probabilities(evidence: Evidence, blocks: Sequence[int] | Ints, rng: np
 
 def _log_probabilities(evidence: Evidence, block: int, flips: Floats) -> Floats:
     """Logarithm of the chi-square probability of T for every flip; 0 where the block adds nothing."""
-    from scipy.stats import chi2
-
     directions = evidence.directions(block)
     if not directions.shape[1]:
         return np.zeros(len(flips))
@@ -97,5 +98,5 @@ def _log_probabilities(evidence: Evidence, block: int, flips: Floats) -> Floats:
         return np.zeros(len(flips))
     turned = shares @ (vectors[:, seen] / np.sqrt(values[seen]))
     size = ((flips @ turned) ** 2).sum(axis=1)
-    logs: Floats = chi2.logsf(size, int(seen.sum()))
+    logs: Floats = np.log(np.maximum(chi2_sf(size, int(seen.sum())), _TINY))
     return logs

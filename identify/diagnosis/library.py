@@ -20,7 +20,7 @@ from identify.effects import REGISTRY, Effect
 from identify.effects.joint_turns import axis_compliance
 from identify.experiment import Experiment
 from identify.fit import Fit
-from identify.model import Model, Response, added_columns, model_of, with_effect
+from identify.model import Model, Response, added_columns, effects_of, with_effect
 from identify.study import Study
 
 __all__ = ["Hypothesis", "Tried", "columns_of", "finer", "hypotheses", "merged_options", "tried"]
@@ -136,7 +136,7 @@ def hypotheses(
         if name in without:
             continue
         for places, options, chord in _variants(name, study, model, found):
-            effect = _bound(study, name, places, options)
+            effect = _bound(study, model, name, places, options)
             groups: dict[str | None, list[int]] = {}
             for index, parameter in enumerate(effect.parameters):
                 if parameter.name not in held:
@@ -144,7 +144,7 @@ def hypotheses(
             if name in _TOGETHER and len(groups) > 1:
                 groups[None] = [index for own in groups.values() for index in own]
             asked += [
-                Hypothesis(name, where, MappingProxyType(dict(options)), effect, frozen(own, np.int64), chord)
+                Hypothesis(name, where, _own(options, where), effect, frozen(own, np.int64), chord.get(where, 0.0))
                 for where, own in groups.items()
             ]
     return tuple(asked)
@@ -162,13 +162,18 @@ def merged_options(options: Mapping[str, Mapping[str, Any]], added: Hypothesis) 
     return MappingProxyType({**options, added.name: MappingProxyType(own)})
 
 
-def _bound(study: Study, name: str, places: tuple[str, ...], options: Mapping[str, Any]) -> Effect:
-    """The effect bound beside the effects of the study."""
+def _own(options: Mapping[str, Any], where: str | None) -> Mapping[str, Any]:
+    """Options of one place: its own table, where the options hold one."""
+    own = options.get(where, options) if where is not None else options
+    return MappingProxyType(dict(own))
+
+
+def _bound(study: Study, model: Model, name: str, places: tuple[str, ...], options: Mapping[str, Any]) -> Effect:
+    """The effect bound beside the effects of the model of the study."""
     entries = tuple(f"{name}@{place}" for place in places) or (name,)
-    present = tuple(entry for entry in study.effects if entry.partition("@")[0] != name)
     merged = {**study.options, name: {**study.options.get(name, {}), **options}}
-    model = model_of(replace(study, options=merged), (*present, *entries), {})
-    return next(effect for effect in model.effects if effect.name == name)
+    others = tuple(effect for effect in model.effects if effect.name != name)
+    return effects_of(replace(study, options=merged), entries, others)[0]
 
 
 def _place(name: str, parameter: str) -> str | None:
@@ -190,11 +195,11 @@ def _variants(name: str, study: Study, model: Model, found: Fit) -> Variants:
 
 
 class Variant(NamedTuple):
-    """Places (empty: all), options, and the chord of a nonlinear effect."""
+    """Places (empty: all), options (or tables of them by place), and chords of a nonlinear effect by place."""
 
     places: tuple[str, ...] = ()
     options: Mapping[str, Any] = MappingProxyType({})
-    chord: float = 0.0
+    chord: Mapping[str | None, float] = MappingProxyType({})
 
 
 Variants = Iterator[Variant]
@@ -224,31 +229,34 @@ def _compensators(study: Study, model: Model, found: Fit) -> Variants:
 def _sticking(study: Study, model: Model, found: Fit) -> Variants:
     """Joints of which the model knows a compliance, with friction from nothing to a good share of the load."""
     largest = np.abs(found.response.scene.load_on_joints).max(axis=0)
-    for joint in _yielding(study, model):
-        for share in _FRICTION if largest[joint] > 0 else ():
-            yield Variant((f"j{joint + 1}",), chord=float(share * largest[joint]))
+    loaded = [joint for joint in _yielding(study, model) if largest[joint] > 0]
+    for share in _FRICTION if loaded else ():
+        chord: dict[str | None, float] = {f"j{joint + 1}": float(share * largest[joint]) for joint in loaded}
+        yield Variant(tuple(f"j{joint + 1}" for joint in loaded), chord=chord)
 
 
 def _knees(study: Study, model: Model, found: Fit) -> Variants:
     """Knees at shares of the largest torque on each joint."""
-    largest = np.abs(found.response.scene.joints.torque).max(axis=0)
-    for joint in np.flatnonzero(largest > 0):
-        for share in _KNEES:
-            yield Variant((f"j{joint + 1}",), {_key("knee", study, joint): float(share * largest[joint])})
+    for share in _KNEES:
+        yield from _at_torques("knee", share, study, found)
 
 
 def _hardening(study: Study, model: Model, found: Fit) -> Variants:
     """By the cube of the torque, or to a final stiffness."""
     yield Variant()
+    for share in _SATURATIONS:
+        yield from _at_torques("saturation", share, study, found)
+
+
+def _at_torques(word: str, share: float, study: Study, found: Fit) -> Variants:
+    """An option that is a torque (force of sliding joints), at a share of the largest one on each joint."""
     largest = np.abs(found.response.scene.joints.torque).max(axis=0)
-    for joint in np.flatnonzero(largest > 0):
-        for share in _SATURATIONS:
-            yield Variant((f"j{joint + 1}",), {_key("saturation", study, joint): float(share * largest[joint])})
-
-
-def _key(word: str, study: Study, joint: int) -> str:
-    """An option that is a torque, or a force where the joint slides."""
-    return f"{word}_{'N' if study.robot.prismatic[joint] else 'Nm'}"
+    tables = {
+        f"j{joint + 1}": {f"{word}_{'N' if study.robot.prismatic[joint] else 'Nm'}": float(share * largest[joint])}
+        for joint in np.flatnonzero(largest > 0)
+    }
+    if tables:
+        yield Variant(tuple(tables), tables)
 
 
 def _orders(study: Study, model: Model, found: Fit) -> Variants:
@@ -320,7 +328,7 @@ def finer(hypothesis: Hypothesis, study: Study, found: Fit) -> tuple[Hypothesis,
     places = () if hypothesis.where is None else (hypothesis.where,)
     found_there = []
     for change in changed:
-        effect = _bound(study, hypothesis.name, places, change)
+        effect = _bound(study, found.model, hypothesis.name, places, change)
         names = [parameter.name for parameter in effect.parameters]
         own = [names.index(hypothesis.effect.parameters[index].name) for index in hypothesis.own]
         found_there.append(

@@ -20,6 +20,7 @@ from identify.arrays import Floats, Ints
 from identify.experiment import Experiment
 from identify.fit import Fit
 from identify.row_groups import classes
+from identify.tails import f_sf
 
 __all__ = ["Replicates", "replicates"]
 
@@ -57,8 +58,6 @@ def replicates(found: Fit) -> Replicates | None:
     Args:
         found: A fit with weights of one.
     """
-    from scipy.stats import f
-
     cell = _cells(found.data.experiment)
     count = np.bincount(cell)
     repeated = count[cell] > 1
@@ -73,7 +72,7 @@ def replicates(found: Fit) -> Replicates | None:
     if dof < 1 or found.dof <= dof or chi2 <= _SMALL * found.chi2:  # copies of a reading tell nothing
         return None
     ratio = max(found.chi2 - chi2, 0.0) / (found.dof - dof) / (chi2 / dof)
-    p_value = float(f.sf(ratio, found.dof - dof, dof))
+    p_value = f_sf(ratio, found.dof - dof, dof)
     return Replicates(int(repeated.sum()), chi2, dof, _scatter(found.residual, cell, count), ratio, p_value)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from identify.arrays import Floats
 from identify.diagnosis.evidence import Evidence
+from identify.tails import gamma_sf
 
 __all__ = ["Uneven", "uneven"]
 
@@ -68,12 +69,10 @@ def _probability(seen: Evidence, column: Floats, rng: np.random.Generator) -> fl
 
 def _tail(total: float, weights: Floats, rng: np.random.Generator) -> float:
     """P(sum w_i chi2_1 > total): by gamma with the same two moments; by draws where it is neither small nor clear."""
-    from scipy.stats import gamma
-
     mean, spread = weights.sum(), 2.0 * (weights**2).sum()
     if mean <= 0.0:
         return 1.0
-    smooth = float(gamma.sf(total, mean**2 / spread, scale=spread / mean))
+    smooth = gamma_sf(total, mean**2 / spread, spread / mean)
     if len(weights) > _MANY or not 1e-6 < smooth < 0.05:
         return smooth
     draws = rng.chisquare(1.0, size=(_DRAWS, len(weights))) @ weights

@@ -12,6 +12,7 @@ from identify.effects import Scene
 from identify.experiment import Experiment
 from identify.fit import Fit
 from identify.identification import Misfit, misfit_of
+from identify.tails import spearman
 from identify.units import DEG, MM
 
 __all__ = ["Dependence", "Screen", "recorded", "screen"]
@@ -90,8 +91,6 @@ def _rms_by(error: Floats, group: np.ndarray, names: tuple[str, ...]) -> dict[st
 
 def _dependences(found: Fit, misfit: Misfit) -> tuple[Dependence, ...]:
     """Rank correlations of shots' mean errors with everything, strongest first."""
-    from scipy.stats import spearmanr
-
     shot = found.data.experiment.row_shot[misfit.rows]
     present, index = np.unique(shot, return_inverse=True)
     count = np.bincount(index)
@@ -105,8 +104,7 @@ def _dependences(found: Fit, misfit: Misfit) -> tuple[Dependence, ...]:
     for column, values in ((name, rows[first]) for name, rows in everything):
         if np.ptp(values) > 0:
             for axis, error in axes.items():
-                result = spearmanr(values, error)
-                made.append(Dependence(column, axis, float(result.statistic), float(result.pvalue)))
+                made.append(Dependence(column, axis, *spearman(values, error)))
     return tuple(sorted(made, key=lambda item: -abs(item.correlation)))
 
 

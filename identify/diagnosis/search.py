@@ -24,6 +24,7 @@ from identify.fit import Fit, State, fit, start
 from identify.identification import fit_differences
 from identify.model import Model, model_of
 from identify.study import Study
+from identify.tails import chi2_sf
 from identify.uncertainty import stated_covariance
 
 __all__ = ["Cause", "Search", "carried", "fitted", "search", "with_causes", "with_noise_found", "with_rivals"]
@@ -35,6 +36,7 @@ _WORTH = 0.01  # share of the chi-square that a cause must take off where the co
 _SURE = 2.0  # standard deviations by which a size must exceed what is possible before it is refused
 _BEYOND = 10.0  # times what is plausible: a larger size is no explanation
 #: Curves that can imitate nearly anything once they may be large: beyond what is plausible they are no explanation.
+_NEAR = 0.7  # of a cause's score, from which on a rival's options are searched more finely
 _STRICT = ("transmission_error", "approach_hysteresis", "joint_windup")
 
 
@@ -239,15 +241,13 @@ def _pruned(rules: _Rules, study: Study, causes: tuple[Cause, ...], found: Fit) 
 
 def _worth(found: Fit, cause: Hypothesis) -> float:
     """Probability that the parameters of a cause in a fitted model are all zero (Wald's test)."""
-    from scipy.stats import chi2
-
     names, kept = found.model.names, found.identifiability.kept
     own = [names.index(cause.effect.parameters[index].name) for index in cause.own]
     where = np.flatnonzero(np.isin(kept, own))
     covariance = stated_covariance(found)[np.ix_(kept[where], kept[where])]
     value = found.state.values[kept[where]] - found.model.nominal[kept[where]]
     size = float(value @ np.linalg.lstsq(covariance, value, rcond=1e-12)[0]) if len(where) else 0.0
-    return float(chi2.sf(size, max(len(where), 1)))
+    return float(chi2_sf(size, max(len(where), 1)))
 
 
 def _with_rivals(done: Search, number: int, without: frozenset[str]) -> Cause:
@@ -263,7 +263,20 @@ def _with_rivals(done: Search, number: int, without: frozenset[str]) -> Cause:
     for block, other in enumerate(others, start=1):
         if other.entry not in rivals and _is_rival(seen, block, other):
             rivals[other.entry] = other
-    return replace(cause, rivals=tuple(rivals.values()))
+    near = {other.entry: other for block, other in enumerate(others, start=1) if _is_near(seen, block)}
+    for entry in near.keys() - rivals.keys():
+        polished = finer(near[entry], rest, begin)
+        seen = evidence(begin, tried(begin, (own, *polished)))
+        fitting = [other for block, other in enumerate(polished, start=1) if _is_rival(seen, block, other)]
+        rivals |= {entry: other for other in fitting[:1]}
+    return replace(
+        cause, rivals=tuple(rivals[entry] for entry in dict.fromkeys(h.entry for h in others) if entry in rivals)
+    )
+
+
+def _is_near(seen: Evidence, block: int) -> bool:
+    """True if a block explains so much of what the cause (block 0) does that a finer option of it may explain all."""
+    return seen.score(block).value > _NEAR * seen.score(0).value
 
 
 def _is_rival(seen: Evidence, block: int, other: Hypothesis) -> bool:

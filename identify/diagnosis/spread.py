@@ -16,6 +16,7 @@ from identify.arrays import Floats, Ints
 from identify.fit import Fit
 from identify.noise import instrument_covariance
 from identify.study import Noise, Tracker
+from identify.tails import student_sf
 
 __all__ = ["NoiseFound", "RangeNoise", "noise_found", "range_noise", "scaled"]
 
@@ -132,8 +133,6 @@ def range_noise(found: Fit, noise: Noise) -> RangeNoise | None:
     regressed on the squared distance to the instrument (Breusch and Pagan 1979, in Koenker's form). None where
     the distances hardly differ, the noise is stated by distance already, or there are too few visits.
     """
-    from scipy.stats import linregress
-
     if noise.tracker is not None or noise.reading == 0.0 or not found.model.frame_size:
         return None
     compared = found.z > 0
@@ -145,10 +144,18 @@ def range_noise(found: Fit, noise: Noise) -> RangeNoise | None:
     scatter = (np.bincount(visit, found.z[compared] ** 2 / 3.0)[names]) / count[names]
     if len(names) < _LEAST_VISITS or mean.max() < _SPREAD * mean.min():
         return None
-    line = linregress(mean**2, scatter, alternative="greater")
-    ends = np.maximum(line.intercept + line.slope * np.array([mean.min(), mean.max()]) ** 2, _LEAST)
+    slope, intercept, p_value = _rising(mean**2, scatter)
+    ends = np.maximum(intercept + slope * np.array([mean.min(), mean.max()]) ** 2, _LEAST)
     low, high = noise.reading * np.sqrt(ends)
-    slope = float((high - low) / (mean.max() - mean.min()))
-    constant = float(max(low - slope * mean.min(), 0.0))
-    tracker = Tracker(radial=constant, radial_per_m=slope, transverse=constant, transverse_per_m=slope)
-    return RangeNoise(float(line.pvalue), replace(noise, tracker=tracker, reading=0.0))
+    growth = float((high - low) / (mean.max() - mean.min()))
+    constant = float(max(low - growth * mean.min(), 0.0))
+    tracker = Tracker(radial=constant, radial_per_m=growth, transverse=constant, transverse_per_m=growth)
+    return RangeNoise(p_value, replace(noise, tracker=tracker, reading=0.0))
+
+
+def _rising(x: Floats, y: Floats) -> tuple[float, float, float]:
+    """Slope and intercept of a line through points (n,), and the probability of such a slope if there is none."""
+    slope, intercept = np.polyfit(x, y, 1)
+    rest = y - intercept - slope * x
+    spread = np.sqrt((rest @ rest) / (len(x) - 2) / ((x - x.mean()) ** 2).sum())
+    return float(slope), float(intercept), float(student_sf(slope / max(spread, 1e-300), len(x) - 2))

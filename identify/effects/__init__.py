@@ -62,6 +62,7 @@ def bind_effects(
     flange: bool = False,
     loads: tuple[LoadCase, ...] = (),
     markers: Markers | None = None,
+    others: tuple[Effect, ...] = (),
 ) -> tuple[Effect, ...]:
     """Bind a study's list of effects to a robot; entries ``name`` or ``name@where``.
 
@@ -72,6 +73,7 @@ def bind_effects(
         flange: The flange has geometric errors of its own (marker positions are exact).
         loads: The load cases of the study.
         markers: Its markers.
+        others: Effects that are bound already and that these may lean on.
 
     Raises:
         InputError: An effect that does not exist, a place it cannot have, or a wrong option.
@@ -86,8 +88,8 @@ def bind_effects(
     bound: dict[str, Effect] = {}
     for name in sorted(places, key=lambda name: name in BORROWERS):
         chosen = () if "" in places[name] else tuple(places[name])
-        others = tuple(bound.values())
+        beside = (*others, *bound.values())
         bound[name] = REGISTRY[name](
-            Binding(robot, chosen, given.get(name, {}), flange, others, loads=loads, markers=markers)
+            Binding(robot, chosen, given.get(name, {}), flange, beside, loads=loads, markers=markers)
         )
     return tuple(bound[name] for name in places)
