@@ -33,6 +33,7 @@ def identification_json(result: Identification) -> dict[str, Any]:
         "covariance": result.covariance[np.ix_(kept, kept)],
         "covariance_kind": result.covariance_kind,
         "effects": list(result.study.effects),
+        "options": {effect.name: _options(result, effect.name) for effect in result.model.effects},
         "reference": result.reference,
         "frames": {"base_T_measurement": _in_mm(found.state.base_T_measurement)},
         "time_start_s": data.experiment.start,
@@ -67,6 +68,12 @@ def identification_json(result: Identification) -> dict[str, Any]:
         "ignored_columns": list(data.ignored_columns),
         "notes": list(result.notes),
     }
+
+
+def _options(result: Identification, name: str) -> dict[str, Any]:
+    """The options of an effect as plain data."""
+    given = result.study.options.get(name, {})
+    return {key: dict(value) if isinstance(value, Mapping) else value for key, value in given.items()}
 
 
 def _dropped(result: Identification) -> list[Any]:
@@ -163,6 +170,7 @@ def load_fitted(path: str | Path, study: Study) -> Fitted:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         content = content.get("identification", content)
+        study = replace(study, options={**study.options, **content.get("options", {})})
         model = model_of(study, tuple(content["effects"]))
         listed = [str(parameter["name"]) for parameter in content["parameters"]]
         given = np.array([float(parameter["value"]) for parameter in content["parameters"]])

@@ -268,7 +268,8 @@ def _with_rivals(done: Search, number: int, without: frozenset[str]) -> Cause:
         polished = finer(near[entry], rest, begin)
         seen = evidence(begin, tried(begin, (own, *polished)))
         fitting = [other for block, other in enumerate(polished, start=1) if _is_rival(seen, block, other)]
-        rivals |= {entry: other for other in fitting[:1]}
+        if fitting:
+            rivals[entry] = fitting[0]
     return replace(
         cause, rivals=tuple(rivals[entry] for entry in dict.fromkeys(h.entry for h in others) if entry in rivals)
     )
