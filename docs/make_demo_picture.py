@@ -34,10 +34,10 @@ def picture(folder: Path) -> Figure:
         folder: Where the demo ran.
     """
     words = " ".join(demo_commands()).split()
-    files = {Path(word).name: folder / word for word in words if word.endswith((".toml", ".csv"))}
+    readings = next(folder / word for word in words if word.endswith("/measurements.csv"))
     study = load_study(folder / next(word for word in words if "/studies/" in word))
     truth = load_truth(folder / next(word for word in words if "/truths/" in word), study)
-    result = identify(study, load_measurements(files["measurements.csv"], study))
+    result = identify(study, load_measurements(readings, study))
     figure = view.canvas(3, width=4.3, height=3.7)
     plan, errors, intervals = figure.axes
     _draw_plan(study, result, plan)

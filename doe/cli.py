@@ -189,7 +189,7 @@ def report(folder: Path, *, common: Common = _DEFAULT) -> int:
     """
     from doe.report.command import check_report, run_report
 
-    folder = folder.resolve()
+    folder = folder.resolve() if folder.is_symlink() else folder
     check_report(folder, common.force)
     return _finish(lambda: run_report(folder), folder, replace(common, force=True))
 

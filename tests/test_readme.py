@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import sys
 from decimal import Decimal
@@ -93,6 +94,18 @@ def test_picture_of_the_readme_is_drawn_from_the_demo_and_small(demo: tuple[Path
     )
     assert len(committed) < 300_000
     assert not re.search(r"(href|src)=\"http|<dc:date>", committed)
+
+
+def test_every_key_of_a_diagnosis_is_documented(demo: tuple[Path, list[tuple[str, str]]]) -> None:
+    told = json.loads((demo[0] / "out/demo/diagnose/diagnose.json").read_text(encoding="utf-8"))
+    formats = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    section = formats[formats.index("**Diagnosis**") : formats.index("**Report**")]
+    tables = [told, *(told[key] for key in ("measured", "gain", "noise", "wrong", "lack_of_fit"))]
+    tables += [told["causes"][0], told["causes"][0]["parameters"][0], told["wrong"]["worst_poses"][0]]
+    tables += [told["wrong"]["depends_on"][0], told["lack_of_fit"]["before"]]
+    keys = {key for table in tables for key in table} - {"schema", "provenance"}
+    assert len(keys) > 50
+    assert not [key for key in sorted(keys) if not re.search(rf"`(\w+\.)?{key}`", section)]
 
 
 def links(page: Path) -> set[str]:

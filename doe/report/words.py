@@ -25,7 +25,7 @@ __all__ = [
 CAUSES = {
     "approach_hysteresis": "hysteresis of the approach",
     "backlash": "backlash",
-    "base_compliance": "a base that yields",
+    "base_compliance": "a foundation that yields",
     "data_fault": "faulty rows",
     "force_sensor_bias": "a bias of the force sensor",
     "geometry": "an error of the geometry",

@@ -234,4 +234,5 @@ def _at(where: str | None) -> str:
 def _evidence(cause: dict[str, Any]) -> str:
     if "what" in cause:
         return f" ({cause['what']}, {cause['error_mm']:.3g} mm off)"
-    return f" (p = {cause['p_value']:.2g})"
+    p_value = cause["p_value"]
+    return " (p < 1e-300)" if p_value < 1e-300 else f" (p = {p_value:.2g})"

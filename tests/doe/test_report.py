@@ -336,6 +336,16 @@ def test_a_report_of_another_origin_is_kept(made, tmp_path, capsys):
     assert "elastocal report" in made(diagnosis())
 
 
+def test_the_folder_is_named_as_it_was_given(tmp_path, capsys, monkeypatch):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "diagnose.json").write_text(json_text(diagnosis()))
+    (tmp_path / "link").symlink_to(tmp_path / "out")
+    monkeypatch.chdir(tmp_path)
+    for given, said in (("out", "out"), ("link", f"{tmp_path.resolve()}/out")):
+        assert run(["report", given]) == 0
+        assert capsys.readouterr().out.splitlines()[-1] == f"written to {said}/report.json"
+
+
 def test_json_alone_stands_on_stdout(tmp_path, capsys):
     (tmp_path / "diagnose.json").write_text(json_text(diagnosis()))
     assert run(["report", str(tmp_path), "--json", "--quiet"]) == 0
