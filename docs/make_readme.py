@@ -17,10 +17,9 @@ from pathlib import Path
 
 from doe.cli import run
 
-__all__ = ["BEGIN", "END", "ROOT", "demo_commands", "demo_section", "run_demo", "section_of"]
+__all__ = ["ROOT", "demo_commands", "demo_sections", "run_demo", "section_of"]
 
 ROOT = Path(__file__).resolve().parents[1]
-BEGIN, END = "<!-- demo:begin -->", "<!-- demo:end -->"
 
 
 def demo_commands() -> list[str]:
@@ -72,27 +71,37 @@ def _working_in(folder: Path) -> Iterator[None]:
         log.setLevel(level)
 
 
-def demo_section(printed: list[tuple[str, str]]) -> str:
-    """What stands between the marks of the README."""
+def demo_sections(printed: list[tuple[str, str]]) -> dict[str, str]:
+    """What stands between the marks of the README, by their name; the second study begins the diagnosis."""
+    studies = [line.split()[2] for line, _ in printed]
+    first = next(number for number, study in enumerate(studies) if study != studies[0])
+    return {"demo": _block(printed[:first]), "diagnosis": _block(printed[first:])}
+
+
+def _block(printed: list[tuple[str, str]]) -> str:
     blocks = [f"$ {line}\n{text.rstrip()}\n" for line, text in printed]
     return "\n```text\n" + "\n".join(blocks) + "```\n"
 
 
-def section_of(readme: str) -> tuple[str, str, str]:
-    """The README before, between and after the marks."""
-    before, rest = readme.split(BEGIN, 1)
-    between, after = rest.split(END, 1)
-    return before + BEGIN, between, END + after
+def section_of(readme: str, name: str) -> tuple[str, str, str]:
+    """The README before, between and after the marks of a section."""
+    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+    before, rest = readme.split(begin, 1)
+    between, after = rest.split(end, 1)
+    return before + begin, between, end + after
 
 
 def main() -> None:
-    """Rewrite the section of the README."""
+    """Rewrite the sections of the README."""
     with tempfile.TemporaryDirectory() as folder:
-        section = demo_section(run_demo(Path(folder)))
+        sections = demo_sections(run_demo(Path(folder)))
     path = ROOT / "README.md"
-    before, old, after = section_of(path.read_text(encoding="utf-8"))
-    path.write_text(before + section + after, encoding="utf-8", newline="\n")
-    print("README.md: nothing has changed" if old == section else "README.md: the printed output was renewed")
+    old = new = path.read_text(encoding="utf-8")
+    for name, section in sections.items():
+        before, _, after = section_of(new, name)
+        new = before + section + after
+    path.write_text(new, encoding="utf-8", newline="\n")
+    print("README.md: nothing has changed" if old == new else "README.md: the printed output was renewed")
 
 
 if __name__ == "__main__":

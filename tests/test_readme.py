@@ -59,13 +59,15 @@ def test_one_digit_is_all_that_may_move() -> None:
 
 def test_readme_shows_what_the_demo_prints(demo: tuple[Path, list[tuple[str, str]]]) -> None:
     maker = script("make_readme")
-    _, shown, _ = maker.section_of(README)
-    made = maker.demo_section(demo[1])
-    lines = zip(shown.splitlines(), made.splitlines(), strict=False)
-    wrong = [f"shown: {old}\n made: {new}" for old, new in lines if not same_print(old, new)]
     again = "renew the README with: .venv/bin/python docs/make_readme.py"
-    assert not wrong, "\n".join([*wrong, again])
-    assert len(shown.splitlines()) == len(made.splitlines()), again
+    sections = maker.demo_sections(demo[1])
+    assert list(sections) == ["demo", "diagnosis"]
+    for name, made in sections.items():
+        _, shown, _ = maker.section_of(README, name)
+        lines = zip(shown.splitlines(), made.splitlines(), strict=False)
+        wrong = [f"shown: {old}\n made: {new}" for old, new in lines if not same_print(old, new)]
+        assert not wrong, "\n".join([*wrong, again])
+        assert len(shown.splitlines()) == len(made.splitlines()), again
 
 
 def test_python_snippets_of_the_readme_run(
@@ -124,5 +126,5 @@ def test_every_file_that_a_page_points_to_exists(page: Path) -> None:
 
 
 def test_marked_sections_stand_once() -> None:
-    for mark in ("<!-- demo:begin -->", "<!-- demo:end -->"):
-        assert README.count(mark) == 1
+    for name in ("demo", "diagnosis"):
+        assert README.count(f"<!-- {name}:begin -->") == README.count(f"<!-- {name}:end -->") == 1
