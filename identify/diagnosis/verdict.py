@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from identify.diagnosis.copies import without_copies
 from identify.diagnosis.evidence import evidence
 from identify.diagnosis.faults import Fault, faults, without_rows
 from identify.diagnosis.gain import Gain, gain
@@ -139,6 +140,9 @@ def diagnose(study: Study, data: Measurements, *, seed: int = 0, without: frozen
     """
     with one_thread():
         study, notes = _with_reference(study, data)
+        data, copies = without_copies(data)
+        if copies:
+            notes = (*notes, f"{copies} poses repeat others number by number and count once")
         rules = _Rules(study.reference == "differences", seed, without)
         _check_enough(study, data)
         wrong = faults(_robust(study, data, rules), study.noise, limit=_FIRST)
