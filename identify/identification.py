@@ -276,16 +276,16 @@ def _check_enough(found: Fit) -> None:
 
 def _uncertainty(found: Fit, lack: LackOfFit) -> tuple[Floats, Literal["stated noise", "pose-clustered"], float]:
     """Covariance of all parameters, its kind and the quantile of the intervals."""
-    from scipy.stats import norm, t
+    from scipy.special import ndtri, stdtrit  # scipy.stats takes half a second to import
 
     kind: Literal["stated noise", "pose-clustered"] = "stated noise"
-    quantile = float(norm.ppf(0.975))
+    quantile = float(ndtri(0.975))
     if lack.p_value >= _REJECTED:
         covariance = stated_covariance(found)
     else:
         kind = "pose-clustered"
         covariance, clusters = visit_covariance(found)
-        quantile = float(t.ppf(0.975, max(clusters - 1, 1)))
+        quantile = float(stdtrit(max(clusters - 1, 1), 0.975))
     return covariance + load_share(found), kind, quantile
 
 

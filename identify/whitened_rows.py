@@ -176,9 +176,10 @@ class Rows:
         """Do something with every part: its whitening, its whitened columns (K_i, p) and where they stand in all K."""
 
         def on(index: int) -> U:
-            operators = self.operators[index]
-            columns = operators.apply(_response(self.problem, self.problem.parts[index], self.state).derivative)
-            columns[:, ~self.problem.free] = 0.0
+            operators, problem = self.operators[index], self.problem
+            response = _response(problem, problem.parts[index], self.state)
+            columns = np.zeros((operators.size, len(problem.free)))
+            columns[:, problem.chosen] = operators.apply(response.derivative[:, :, problem.chosen])
             return work(operators, columns, self.slices[index])
 
         return _each(range(len(self.operators)), on)

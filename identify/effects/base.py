@@ -188,21 +188,21 @@ class Scene:
         return self._loaded("joints")[1]
 
     def turned(self, joint: int, angle: Floats) -> Floats:
-        """(R, 3) motion of the markers, m, where a joint of the undeflected arm yields by ``angle`` (S,), rad or m."""
-        yielded = np.zeros((len(angle), self.frames.robot.n))
-        yielded[:, joint] = angle
-        return self._carried(self._twists("joints", yielded))
+        """Twists (S, 6) of the flange where a joint of the undeflected arm yields by ``angle`` (S,), rad or m."""
+        twists: Floats = self._loaded("joints")[0][self.experiment.shot_pose, :, joint] * angle[:, None]
+        return twists
 
-    def moved_by(self, springs: SpringSet, compliance: Floats) -> Floats:
-        """(R, 3) motion of the markers, m, where springs of ``compliance`` (s, s), SI, yield to their torques.
-
-        The flange moves as a rigid body, so that one twist a shot serves all its markers.
-        """
+    def yielded(self, springs: SpringSet, compliance: Floats) -> Floats:
+        """Twists (S, 6) of the flange where springs of ``compliance`` (s, s), SI, yield to their torques."""
         known = self._arm.twists.get(springs)
         if known is None or not np.array_equal(known[0], compliance):
             known = compliance, self._twists(springs, self._loaded(springs)[1] @ compliance.T)
             self._arm.twists[springs] = known
-        return self._carried(known[1])
+        return known[1]
+
+    def moved_by(self, springs: SpringSet, compliance: Floats) -> Floats:
+        """(R, 3) motion of the markers, m, where springs of ``compliance`` (s, s), SI, yield to their torques."""
+        return self.carried(self.yielded(springs, compliance))
 
     def _twists(self, springs: SpringSet, yielded: Floats) -> Floats:
         """(S, 6) twists of the flange where springs yield by (S, s)."""
@@ -212,12 +212,18 @@ class Scene:
         twists[loaded] = (every @ yielded[loaded, :, None])[:, :, 0]
         return twists
 
-    def _carried(self, twists: Floats) -> Floats:
-        """(R, 3) what twists (S, 6) of the flange do to the undeflected markers."""
+    def carried(self, twists: Floats) -> Floats:
+        """(R, 3) what twists (S, 6) of the flange (`identify.springs.screws`) do to the undeflected markers, m."""
         experiment = self.experiment
         moved = carry(twists[experiment.row_shot, :, None], self.point[:, None])[:, 0, :, 0]
-        moved[experiment.markers.on_base[experiment.row_marker]] = 0.0
+        moved[self.on_base] = 0.0
         return moved
+
+    @property
+    def on_base(self) -> np.ndarray:
+        """(R,) True for rows of markers on the base, which no deflection moves."""
+        markers = self.experiment.markers
+        return np.asarray(markers.on_base[self.experiment.row_marker])
 
     def with_markers(self, positions: Floats) -> Scene:
         """The same arm under the same loads, undeflected, with markers elsewhere: (M, 3) in their own frames, m."""
@@ -274,6 +280,8 @@ class Effect:
         terms: These pairs, one a parameter.
         held: Pairs that yield too and are not fitted, with their values in their units.
         stops: Joint values (rad or m), by joint index, at which alone it is defined: candidates stop there.
+        twist: ``(scene, values) -> (S, 6)`` where the displacement is that of a flange which moves as a rigid body on
+            the undeflected arm (`Scene.carried`): one twist a shot then serves all its markers.
     """
 
     name: str
@@ -292,6 +300,7 @@ class Effect:
     terms: tuple[Term, ...] = ()
     held: tuple[tuple[Term, float], ...] = ()
     stops: Mapping[int, Floats] = field(default_factory=lambda: MappingProxyType({}))
+    twist: Displacement | None = None
 
 
 def build_scene(experiment: Experiment, frames: Frames, positions: Floats, *, self_weight: bool) -> Scene:
