@@ -26,7 +26,7 @@ from identify.selection import take_rows
 from identify.study import Noise
 from identify.threads import one_thread
 
-__all__ = ["Part", "Problem", "Rows", "State", "parts_of", "rows_at", "station", "stepped"]
+__all__ = ["Part", "Problem", "Rows", "State", "parts_of", "predicted", "rows_at", "station", "stepped"]
 
 _ROWS = 4096  # of a part: its columns stay in cache
 _SERIAL = 4  # parts below which threads do not pay
@@ -121,6 +121,21 @@ def _rows_alone(data: Measurements, rows: slice) -> Measurements:
     """Some rows without the shots and poses of the others."""
     part = take_rows(data, np.arange(rows.start, rows.stop))
     return replace(part, experiment=part.experiment.of_rows(np.arange(rows.stop - rows.start)))
+
+
+def predicted(model: Model, parts: Sequence[Part], values: Floats) -> Floats:
+    """(R, 3) where a model says that all rows are read, base frame, m.
+
+    Args:
+        model: The model.
+        parts: The rows (`parts_of` of this model).
+        values: (p,) parameters in their units.
+    """
+
+    def position(part: Part) -> Floats:
+        return respond(model, part.data.experiment, values, derivative=False, known=part.scene).position
+
+    return np.concatenate(_each(parts, position))
 
 
 @dataclass(frozen=True, eq=False)
