@@ -473,6 +473,6 @@ def _marker_turn(scene: Scene) -> Floats:
 
 def _by_marker(scene: Scene, change: Floats) -> Floats:
     """Columns (R, 3, 3 M) of what each row does (R, 3, 3) by the coordinates of its own marker."""
-    own = scene.experiment.row_marker[:, None] == np.arange(len(scene.experiment.markers.names))
-    columns: Floats = (own[:, None, :, None] * change[:, :, None]).reshape(len(own), 3, -1)
-    return columns
+    columns = np.zeros((len(change), 3, len(scene.experiment.markers.names), 3))
+    columns[np.arange(len(change)), :, scene.experiment.row_marker] = change
+    return columns.reshape(len(change), 3, -1)

@@ -161,7 +161,7 @@ class Scene:
     @cached_property
     def load_on_joints(self) -> Floats:
         """(S, n) torque (force) that the load alone, without self-weight, puts on each joint."""
-        return _load_torque(self.experiment, self.frames, joint_springs)
+        return _load_torque(self.experiment, self.frames, joint_springs, joint_springs(self.frames))
 
     @cached_property
     def links(self) -> Fields:
@@ -240,7 +240,7 @@ class Scene:
         """Screws (C, 6, s) of a set of springs in all poses, and its torques (S, s)."""
         if name not in self._arm.springs:
             springs = _SPRINGS[name](self.frames)
-            torque = _load_torque(self.experiment, self.frames, _SPRINGS[name])
+            torque = _load_torque(self.experiment, self.frames, _SPRINGS[name], springs)
             if self.self_weight:
                 torque += self_weight_torque(springs, self.frames)[self.experiment.shot_pose]
             self._arm.springs[name] = screws(springs), torque
@@ -322,19 +322,21 @@ def _points(experiment: Experiment, frames: Frames, positions: Floats) -> Floats
     return points
 
 
-def _load_torque(experiment: Experiment, frames: Frames, springs_of: Callable[[Frames], Springs]) -> Floats:
-    """Torque of what hangs on the flange or of the measured wrench, (S, s)."""
+def _load_torque(
+    experiment: Experiment, frames: Frames, springs_of: Callable[[Frames], Springs], springs: Springs
+) -> Floats:
+    """Torque of what hangs on the flange or of the measured wrench, (S, s); ``springs`` are those of all poses."""
     torque: Floats | None = None
     for index, load in enumerate(experiment.loads):
         shots = np.flatnonzero((experiment.shot_load == index) & ~experiment.shot_unloaded)
         if len(shots):
             measured = None if experiment.wrench is None else experiment.wrench[shots]
             there = _at(frames, experiment.shot_pose[shots])
-            part = load_torque(springs_of(there), *_wrench(load, measured, there))
+            part = load_torque(springs if there is frames else springs_of(there), *_wrench(load, measured, there))
             torque = np.zeros((len(experiment.shot_load), part.shape[1])) if torque is None else torque
             torque[shots] = part
     if torque is None:
-        return np.zeros((len(experiment.shot_load), len(springs_of(_at(frames, np.arange(1))).slides)))
+        return np.zeros((len(experiment.shot_load), len(springs.slides)))
     return torque
 
 
