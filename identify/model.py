@@ -332,9 +332,7 @@ def _with_bending(
     return columns
 
 
-def _marker_bending(
-    model: Model, experiment: Experiment, values: Floats, scene: Scene, deflection: Floats
-) -> Floats:
+def _marker_bending(model: Model, experiment: Experiment, values: Floats, scene: Scene, deflection: Floats) -> Floats:
     """(R, 3, 3) change of the deflection of each row by the three coordinates of its marker, m per mm."""
     twists, change = _twists(model, scene, values), np.zeros((*deflection.shape, 3))
     if twists is not None:
@@ -446,7 +444,8 @@ def effect_columns(model: Model, scene: Scene, values: Floats, wanted: np.ndarra
     """
     asked = [wanted is None or bool(wanted[inputs].any()) for inputs in model.effect_inputs]
     columns, lent = np.zeros((len(scene.point), 3, _leading(model, wanted, asked))), []
-    for effect, where, inputs in compress(zip(model.effects, model.effect_slices, model.effect_inputs, strict=True), asked):
+    every = zip(model.effects, model.effect_slices, model.effect_inputs, strict=True)
+    for effect, where, inputs in compress(every, asked):
         part = effect.derivative(scene, values[inputs])
         own = len(effect.parameters)
         columns[:, :, where] = part[:, :, :own]
@@ -465,7 +464,7 @@ def _leading(model: Model, wanted: np.ndarray | None, asked: list[bool]) -> int:
 
 
 def _marker_turn(scene: Scene) -> Floats:
-    """(R, 3, 3) motion of each row by its own marker's coordinates, m per mm: turned by the flange, or not, on the base."""
+    """(R, 3, 3) motion of each row by its own marker's coordinates, m per mm; what is on the base is not turned."""
     turn: Floats = MM * scene.frames.flange_rotation[scene.row_pose]
     turn[scene.on_base] = MM * np.eye(3)
     return turn

@@ -227,7 +227,7 @@ def _shared(scene: Scene, rows: Ints) -> Floats:
 
 def _inverse_root(covariance: Floats) -> Floats:
     """Inverses of the Cholesky factors of (G, m, m), by forward substitution in many at once."""
-    lower = np.linalg.cholesky(covariance)
+    lower = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     count, size = lower.shape[:2]
     if count < _MANY or size > _SMALL:
         return np.asarray(np.linalg.inv(lower))

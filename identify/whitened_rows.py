@@ -28,7 +28,7 @@ from identify.threads import one_thread
 
 __all__ = ["Part", "Problem", "Rows", "State", "parts_of", "predicted", "rows_at", "station", "stepped"]
 
-_ROWS = 4096  # of a part: its columns stay in cache
+_ROWS = 8192  # of a part: few enough for memory, enough that two threads seldom wait for each other
 _SERIAL = 4  # parts below which threads do not pay
 _THREADS = 2
 

@@ -152,11 +152,8 @@ def _with_constants(effect: Effect, binding: Binding) -> Effect:
         moved: Floats = effect.displacement(scene, fit) + rest.displacement(scene, values)
         return moved
 
-    def twist(scene: Scene, fit: Floats) -> Floats:
-        return sum((part.twist(scene, v) for part, v in ((effect, fit), (rest, values)) if part.twist), start=np.zeros(1))
-
     return replace(
-        effect, displacement=displacement, twist=twist, held=tuple(zip(held, constants.values(), strict=True))
+        effect, displacement=displacement, twist=None, held=tuple(zip(held, constants.values(), strict=True))
     )
 
 
