@@ -38,7 +38,7 @@ def test_parts_change_nothing(monkeypatch, reference, effects):
     truth = {**COMPLIANCE, **(geometry_errors(study.robot, rng) if "geometry" in effects else {})}
     data = spoiled(measured(study, rng, count=40, values=truth))
     whole = identify(study, data)
-    monkeypatch.setattr(whitened_rows, "_ROWS", 24)
+    monkeypatch.setattr(whitened_rows, "_ROWS", 12)
     cut = identify(study, data)
     assert len(whole.fit.rows.problem.parts) == 1
     assert len(cut.fit.rows.problem.parts) >= 2 * whitened_rows._SERIAL
@@ -53,7 +53,7 @@ def test_parts_change_nothing(monkeypatch, reference, effects):
     assert cut.heldout.misfit.rms == pytest.approx(whole.heldout.misfit.rms, rel=1e-8)
 
 
-@pytest.mark.parametrize("rows", [24, 10_000])
+@pytest.mark.parametrize("rows", [12, 10_000])
 def test_the_triangle_stands_for_the_columns(monkeypatch, rows):
     rng = np.random.default_rng(21)
     study = kr270_study(reference="differences", loads=(UNLOADED, UNSURE))
