@@ -24,15 +24,13 @@ def without_copies(data: Measurements) -> tuple[Measurements, int]:
     """
     experiment = data.experiment
     shot = experiment.row_shot
-    table = np.column_stack(
-        [
-            experiment.shot_load[shot],
-            experiment.row_marker,
-            experiment.shot_repeat[shot],
-            experiment.q[experiment.shot_pose[shot]],
-            data.positions,
-        ]
-    )
+    table = np.column_stack([
+        experiment.shot_load[shot],
+        experiment.row_marker,
+        experiment.shot_repeat[shot],
+        experiment.q[experiment.shot_pose[shot]],
+        data.positions,
+    ])
     order = np.lexsort((*table[:, :3].T[::-1], experiment.row_visit))
     visit = experiment.row_visit[order]
     starts = np.flatnonzero(np.diff(visit, prepend=-1))
