@@ -25,7 +25,7 @@ from identify.model import Model, Response, frame_displacement, respond
 from identify.noise import Whitening
 from identify.row_distances import one_of_two, robust_scale
 from identify.study import Noise
-from identify.whitened_rows import Problem, Rows, State, parts_of, rows_at, stepped
+from identify.whitened_rows import Part, Problem, Rows, State, parts_of, predicted, rows_at, stepped
 
 __all__ = ["OUTLYING", "Fit", "State", "absorb_frame", "fit", "settled_with", "start"]
 
@@ -145,16 +145,22 @@ class Fit:
         return len(self.whitened) - self.identifiability.rank
 
 
-def start(model: Model, data: Measurements) -> State:
+def start(model: Model, data: Measurements, parts: tuple[Part, ...] | None = None) -> State:
     """Nominal values and, for a free frame, the rigid alignment of the readings with the nominal model.
+
+    Args:
+        model: The model.
+        data: The rows.
+        parts: The same in parts, where they are at hand.
 
     Raises:
         InputError: There are no rows.
     """
     if not len(data.positions):
         raise InputError(f"{data.source}: no rows to fit")
-    predicted = respond(model, data.experiment, model.nominal, derivative=False).position
-    placement = align(data.positions, predicted) if model.frame_size else np.eye(4)
+    placement = np.eye(4)
+    if model.frame_size:
+        placement = align(data.positions, predicted(model, parts or parts_of(model, data), model.nominal))
     return State(model.nominal, placement, np.ones(len(data.positions)))
 
 
@@ -169,6 +175,7 @@ def fit(
     reweigh: bool = True,
     like: Fit | None = None,
     coarse: bool = False,
+    parts: tuple[Part, ...] | None = None,
 ) -> Fit:
     """Fit the parameters of a model.
 
@@ -182,13 +189,15 @@ def fit(
         reweigh: Take influence from rows that do not fit; else the weights of ``state`` stay.
         like: Another fit of this model to these data, whose rows are in parts already.
         coarse: Columns of first order and steps down to a thousandth of a sigma are enough, as for a search.
+        parts: The rows in parts, where they are at hand.
 
     Raises:
         NoConvergence: No convergence in the allowed steps; ``best`` holds the last fit.
     """
     free = np.ones(len(model.parameters), dtype=bool) if fitted is None else fitted
-    parts = parts_of(model, data) if like is None else like.rows.problem.parts
-    problem = Problem(model, data, noise, free_offsets, free, parts, bending=not coarse)
+    if like is not None:
+        parts = like.rows.problem.parts
+    problem = Problem(model, data, noise, free_offsets, free, parts or parts_of(model, data), bending=not coarse)
     found = _evaluate(problem, state)
     if like is not None and np.array_equal(like.fitted, free):
         found = replace(found, rate=like.rate)

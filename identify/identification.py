@@ -15,12 +15,13 @@ from identify.experiment import Experiment, Measurements
 from identify.fit import Fit, State, fit, rows_that_do_not_fit, settled_with, start
 from identify.identifiability import why_not
 from identify.lack_of_fit import LackOfFit, lack_of_fit
-from identify.model import Model, model_of, respond
+from identify.model import Model, model_of
 from identify.selection import load_changes, rows_of_visits, take_rows
 from identify.study import Study
 from identify.tails import norm_ppf, student_ppf
 from identify.threads import one_thread
 from identify.uncertainty import load_share, stated_covariance, visit_covariance
+from identify.whitened_rows import parts_of, predicted
 
 __all__ = ["Heldout", "Identification", "Misfit", "fit_differences", "heldout_misfit", "identify", "misfit_of"]
 
@@ -197,7 +198,8 @@ def _choose_reference(
         return fit_differences(study, model, data), "differences", notes
     if elastic and not study.robot.masses_known:
         notes = ("link masses are unknown: self-weight is left out",)
-    absolute = fit(model, data, study.noise, start(model, data))
+    parts = parts_of(model, data)
+    absolute = fit(model, data, study.noise, start(model, data, parts), parts=parts)
     trusts_geometry = any(effect.name in {"geometry", "transmission_error"} for effect in model.effects)
     if wanted == "absolute" or trusts_geometry or not (loaded and elastic) or not _is_rejected(absolute):
         return absolute, "absolute", notes
@@ -227,11 +229,12 @@ def fit_differences(
     coarse: bool = False,
 ) -> Fit:
     """Effects from changes within visits, frame and markers from the visits' offsets, in turn until both stand."""
-    state = state or start(model, data)
+    parts = parts_of(model, data)
+    state = state or start(model, data, parts)
     nuisance, noise = model.nuisance, study.noise
     fit_to = partial(fit, model, data, noise, reweigh=reweigh, coarse=coarse)
     begin = _plain(state, model) if reweigh else state
-    found = fit_to(begin, free_offsets=True, fitted=~nuisance)
+    found = fit_to(begin, free_offsets=True, fitted=~nuisance, parts=parts)
     if not nuisance.any():
         return found
     placed: Fit | None = None
@@ -366,9 +369,9 @@ def heldout_misfit(study: Study, found: Fit, reference: str, judged: np.ndarray,
         trained = fit(model, part, study.noise, begin)
     else:
         trained = fit_differences(study, model, part, begin)
-    response = respond(model, found.data.experiment, trained.state.values, derivative=False)
+    expected = predicted(model, found.rows.problem.parts, trained.state.values)
     placement = trained.state.base_T_measurement
-    residual = found.data.positions @ placement[:3, :3].T + placement[:3, 3] - response.position
+    residual = found.data.positions @ placement[:3, :3].T + placement[:3, 3] - expected
     rows = np.flatnonzero(judged[found.data.experiment.row_visit] & fine)
     return misfit_of(found.data, residual, reference, rows)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 
@@ -110,7 +111,8 @@ class Response:
         scene: The fields it was computed from.
         position: (R, 3) readings in the base frame (displaced by the frame parameters), m.
         deflection: (R, 3) the elastic and other displacement contained in it, m.
-        derivative: (R, 3, p) m per unit of each parameter; (R, 3, 0) if not asked for.
+        derivative: (R, 3, p) m per unit of each parameter; (R, 3, 0) if not asked for. Columns behind the last one
+            that is wanted may be left out.
         direct: The same without the part that works through the deflection (geometry and markers bend it); rank is
             decided on these columns, so that nothing counts as known through its second-order trace alone.
     """
@@ -213,7 +215,7 @@ def respond(
         experiment: The conditions.
         values: (p,) parameters in their units.
         derivative: Also compute the derivative.
-        wanted: (p,) True for columns that are needed (all by default); others may be zero.
+        wanted: (p,) True for columns that are needed (all by default); others may be zero, or missing at the end.
         known: `undeflected` of this model and experiment, where it is at hand.
         bending: Columns count how geometry and markers bend the deflection, a matter of second order.
     """
@@ -280,10 +282,28 @@ def _yielding(model: Model, scene: Scene, values: Floats, tolerance: float = TOL
     if model.loaded:
         scene = load_scene(scene, *spring_matrix(given, model.robot.n), tolerance=tolerance)
         deflection = scene.moved
-        given = [(effect, inputs) for effect, inputs in given if effect.springs is None]
+    twists = _twists(model, scene, values)
+    if twists is not None:
+        deflection = deflection + scene.carried(twists)
     for effect, inputs in given:
-        deflection = deflection + effect.displacement(scene, inputs)
+        if not _is_rigid(model, effect) and not (model.loaded and effect.springs):
+            deflection = deflection + effect.displacement(scene, inputs)
     return scene, deflection
+
+
+def _is_rigid(model: Model, effect: Effect) -> bool:
+    """True if the model counts what an effect does as a twist of the flange; a loaded arm is no such thing."""
+    return effect.twist is not None and not (model.loaded and effect.springs)
+
+
+def _twists(model: Model, scene: Scene, values: Floats) -> Floats | None:
+    """Twists (S, 6) of the flange by all effects that move it as a rigid body; None if there is none."""
+    total = None
+    for effect, inputs in zip(model.effects, model.effect_inputs, strict=True):
+        if effect.twist is not None and _is_rigid(model, effect):
+            twist = effect.twist(scene, values[inputs])
+            total = twist if total is None else total + twist
+    return total
 
 
 def _with_bending(
@@ -297,7 +317,8 @@ def _with_bending(
 ) -> Floats:
     """Add how the deflection itself changes when geometry or markers move: the second-order part of their columns.
 
-    By forward differences of a small term (a step of 1 um or 1 urad in a field of some mm).
+    Markers ride on a flange that is twisted; the rest by forward differences of a small term (a step of 1 um or
+    1 urad in a field of some mm).
     """
     markers = slice(model.frame_size, model.frame_size + model.marker_size)
     own = [
@@ -311,18 +332,31 @@ def _with_bending(
         return direct
     columns = direct.copy()
     if wanted[markers].any():
-        mine = (experiment.row_marker[:, None] == np.arange(model.marker_size // 3))[:, None]
-        for axis in range(3):  # every row has its own marker
-            nudged = values.copy()
-            nudged[markers][axis::3] += _NUDGE
-            elsewhere = scene.with_markers(marker_positions(model, experiment, nudged))
-            change = (_yielding(model, elsewhere, nudged)[1] - deflection) / _NUDGE
-            columns[:, :, markers.start + axis : markers.stop : 3] += change[:, :, None] * mine
+        columns[:, :, markers] += _by_marker(scene, _marker_bending(model, experiment, values, scene, deflection))
     for column in own:
         nudged = values.copy()
         nudged[column] += _NUDGE
         columns[:, :, column] += (deflected(model, experiment, nudged)[1] - deflection) / _NUDGE
     return columns
+
+
+def _marker_bending(model: Model, experiment: Experiment, values: Floats, scene: Scene, deflection: Floats) -> Floats:
+    """(R, 3, 3) change of the deflection of each row by the three coordinates of its marker, m per mm."""
+    twists, change = _twists(model, scene, values), np.zeros((*deflection.shape, 3))
+    if twists is not None:
+        change += skew(twists[:, 3:])[experiment.row_shot] @ _marker_turn(scene)
+        change[scene.on_base] = 0.0
+    if all(_is_rigid(model, effect) for effect in model.effects):
+        return change
+    for axis in range(3):  # every row has its own marker
+        nudged = values.copy()
+        nudged[model.frame_size : model.frame_size + model.marker_size][axis::3] += _NUDGE
+        elsewhere = scene.with_markers(marker_positions(model, experiment, nudged))
+        moved = _yielding(model, elsewhere, nudged)[1] - deflection
+        if twists is not None:
+            moved -= elsewhere.carried(twists) - scene.carried(twists)
+        change[:, :, axis] += moved / _NUDGE
+    return change
 
 
 def through_columns(
@@ -374,11 +408,10 @@ def added_columns(
     if not effect.through:
         inputs = larger.effect_inputs[-1]
         return effect.derivative(response.scene, given[inputs])[:, :, own]
-    wanted = np.zeros(len(given), dtype=bool)
-    wanted[len(values) + own] = True
     columns = np.zeros((len(response.scene.point), 3, len(own)))
-    for column, part in through_columns(larger, experiment, given, wanted):
-        columns[:, :, np.flatnonzero(own == column - len(values))[0]] = part
+    for column, index in enumerate(len(values) + own):  # one-sided: exact but for the turn of gravity
+        nudged = given + _STEP * (np.arange(len(given)) == index)
+        columns[:, :, column] = (deflected(larger, experiment, nudged)[1] - response.deflection) / _STEP
     return columns
 
 
@@ -405,7 +438,8 @@ def _derivative(model: Model, scene: Scene, position: Floats, values: Floats, wa
         columns[:, :, :3] = MM * np.eye(3)
         columns[:, :, 3:6] = -MRAD * skew(position)
     if model.marker_size:
-        _marker_columns(columns[:, :, model.frame_size : model.frame_size + model.marker_size], scene)
+        markers = slice(model.frame_size, model.frame_size + model.marker_size)
+        columns[:, :, markers] = _by_marker(scene, _marker_turn(scene))
     return columns
 
 
@@ -413,13 +447,12 @@ def effect_columns(model: Model, scene: Scene, values: Floats, wanted: np.ndarra
     """(R, 3, p) derivative of the displacement by the effects' parameters, m per unit; zero for frame and markers.
 
     What an effect says about parameters that it borrows adds to their own columns. Effects of which nothing is
-    ``wanted`` (p,) stay zero.
+    ``wanted`` (p,) stay zero; columns behind the last one wanted are left out.
     """
-    columns = np.zeros((len(scene.point), 3, len(model.parameters)))
-    lent = []
-    for effect, where, inputs in zip(model.effects, model.effect_slices, model.effect_inputs, strict=True):
-        if wanted is not None and not wanted[inputs].any():
-            continue
+    asked = [wanted is None or bool(wanted[inputs].any()) for inputs in model.effect_inputs]
+    columns, lent = np.zeros((len(scene.point), 3, _leading(model, wanted, asked))), []
+    every = zip(model.effects, model.effect_slices, model.effect_inputs, strict=True)
+    for effect, where, inputs in compress(every, asked):
         part = effect.derivative(scene, values[inputs])
         own = len(effect.parameters)
         columns[:, :, where] = part[:, :, :own]
@@ -429,10 +462,23 @@ def effect_columns(model: Model, scene: Scene, values: Floats, wanted: np.ndarra
     return columns
 
 
-def _marker_columns(columns: Floats, scene: Scene) -> None:
-    """Each row moves with its own marker, turned by the flange (or not, on the base)."""
-    markers, row_marker = scene.experiment.markers, scene.experiment.row_marker
-    turn = MM * scene.frames.flange_rotation[scene.row_pose]
-    turn[markers.on_base[row_marker]] = MM * np.eye(3)
-    own = row_marker[:, None] == np.arange(len(markers.names))
-    columns[:] = (own[:, None, :, None] * turn[:, :, None]).reshape(columns.shape)
+def _leading(model: Model, wanted: np.ndarray | None, asked: list[bool]) -> int:
+    """Number of columns up to the last one that is wanted or comes with one that is."""
+    if wanted is None:
+        return len(model.parameters)
+    ends = [int(inputs.max(initial=-1)) + 1 for inputs in compress(model.effect_inputs, asked)]
+    return max(model.frame_size + model.marker_size, *ends, int(np.flatnonzero(wanted).max(initial=-1)) + 1)
+
+
+def _marker_turn(scene: Scene) -> Floats:
+    """(R, 3, 3) motion of each row by its own marker's coordinates, m per mm; what is on the base is not turned."""
+    turn: Floats = MM * scene.frames.flange_rotation[scene.row_pose]
+    turn[scene.on_base] = MM * np.eye(3)
+    return turn
+
+
+def _by_marker(scene: Scene, change: Floats) -> Floats:
+    """Columns (R, 3, 3 M) of what each row does (R, 3, 3) by the coordinates of its own marker."""
+    columns = np.zeros((len(change), 3, len(scene.experiment.markers.names), 3))
+    columns[np.arange(len(change)), :, scene.experiment.row_marker] = change
+    return columns.reshape(len(change), 3, -1)

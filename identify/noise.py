@@ -25,6 +25,8 @@ from identify.study import Noise
 __all__ = ["Whitening", "instrument_covariance", "joined", "whitening"]
 
 _NEGLIGIBLE = 1e-10  # a column that the free offsets cancel to this share is zero
+_MANY, _SMALL = 64, 48  # matrices, and their size, from where one by one is slower
+_CACHE = 1 << 16  # numbers that stay at hand
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,11 +192,11 @@ def _balanced_operator(
     first = rows[:, : rows.shape[1] // shots]
     shared = _shared(scene, first)
     spread = _block_diagonal(covariance[first]) + noise.reading_jitter**2 * shared
-    inner = np.linalg.inv(np.linalg.cholesky(spread))
+    inner = _inverse_root(spread)
     contrasts = _helmert(shots)
     parts = [_kron(contrasts[1:], inner)]
     if not free_offsets:
-        outer = np.linalg.inv(np.linalg.cholesky(spread + shots * noise.pose_jitter**2 * shared))
+        outer = _inverse_root(spread + shots * noise.pose_jitter**2 * shared)
         parts.append(_kron(contrasts[:1], outer))
     return np.concatenate(parts, axis=1)
 
@@ -206,7 +208,7 @@ def _general_operator(
     shared = _shared(scene, rows)
     same_shot = np.kron(layout[:, :1] == layout[:, 0], np.ones((3, 3)))
     total = _block_diagonal(covariance[rows]) + (noise.reading_jitter**2 * same_shot + noise.pose_jitter**2) * shared
-    operator = np.linalg.inv(np.linalg.cholesky(total))
+    operator = _inverse_root(total)
     if not free_offsets:
         return operator
     kinds = np.unique(layout[:, 1])
@@ -221,6 +223,30 @@ def _shared(scene: Scene, rows: Ints) -> Floats:
     jacobian = scene.joints.motion[rows].swapaxes(2, 3).reshape(len(rows), 3 * rows.shape[1], -1)
     product: Floats = jacobian @ jacobian.swapaxes(1, 2)
     return product
+
+
+def _inverse_root(covariance: Floats) -> Floats:
+    """Inverses of the Cholesky factors of (G, m, m), by forward substitution in many at once."""
+    lower = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    count, size = lower.shape[:2]
+    if count < _MANY or size > _SMALL:
+        return np.asarray(np.linalg.inv(lower))
+    inverse = np.empty_like(lower)
+    chunk = max(_MANY, _CACHE // size**2)
+    for start in range(0, count, chunk):
+        inverse[start : start + chunk] = _inverse_lower(lower[start : start + chunk])
+    return inverse
+
+
+def _inverse_lower(lower: Floats) -> Floats:
+    """Inverses of lower triangles (G, m, m), row by row."""
+    size = lower.shape[1]
+    lower, inverse = np.ascontiguousarray(lower.transpose(1, 2, 0)), np.zeros((size, size, len(lower)))
+    for row in range(size):
+        inverse[row, row] = 1.0 / lower[row, row]
+        known = np.einsum("kg,kjg->jg", lower[row, :row], inverse[:row, :row])
+        np.multiply(known, -inverse[row, row], out=inverse[row, :row])
+    return inverse.transpose(2, 0, 1)
 
 
 def _block_diagonal(blocks: Floats) -> Floats:

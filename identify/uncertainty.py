@@ -14,7 +14,8 @@ from identify.noise import Whitening
 
 __all__ = ["load_changes_by_sigma", "load_share", "off_columns", "stated_covariance", "visit_covariance"]
 
-_LIGHT = 0.5  # no visit decides anything alone: the rest of its leverage is far from singular
+_LIGHT = 0.5  # no visit decides anything alone: powers of its leverage die out
+_ROUNDING = float(np.finfo(np.float64).eps)
 
 
 def stated_covariance(found: Fit) -> Floats:
@@ -44,14 +45,20 @@ def visit_covariance(found: Fit) -> tuple[Floats, int]:
 
 def _scores(basis: Floats, whitened: Floats) -> Floats:
     """``Q_v' (I - Q_v Q_v')^-1 r_v`` of G visits with k rows each, (G, m), from orthonormal columns (G, k, m)."""
-    hat = basis @ basis.swapaxes(1, 2)
-    left = np.eye(hat.shape[1]) - hat
-    if np.trace(hat, axis1=1, axis2=2).max() < _LIGHT:
-        outside = np.linalg.solve(left, whitened[..., None])
-    else:
-        outside = np.linalg.pinv(left, hermitian=True, rcond=1e-8) @ whitened[..., None]
-    scores: Floats = (basis.swapaxes(1, 2) @ outside)[..., 0]
-    return scores
+    across = basis.swapaxes(1, 2)
+    heaviest = np.einsum("gkm,gkm->g", basis, basis).max(initial=0.0)
+    if heaviest >= _LIGHT:
+        left = np.eye(basis.shape[1]) - basis @ across
+        return np.asarray((across @ (np.linalg.pinv(left, hermitian=True, rcond=1e-8) @ whitened[..., None]))[..., 0])
+    plain = scores = across @ whitened[..., None]
+    for _ in range(_terms(heaviest)):
+        scores = plain + across @ (basis @ scores)
+    return np.asarray(scores[..., 0])
+
+
+def _terms(share: float) -> int:
+    """How many terms of ``sum share^k`` rounding does not swallow."""
+    return int(np.ceil(np.log(_ROUNDING) / np.log(share))) if share > 0 else 0
 
 
 def load_share(found: Fit) -> Floats:

@@ -26,9 +26,9 @@ from identify.selection import take_rows
 from identify.study import Noise
 from identify.threads import one_thread
 
-__all__ = ["Part", "Problem", "Rows", "State", "parts_of", "rows_at", "station", "stepped"]
+__all__ = ["Part", "Problem", "Rows", "State", "parts_of", "predicted", "rows_at", "station", "stepped"]
 
-_ROWS = 4096  # of a part: its columns stay in cache
+_ROWS = 4096  # of a part: its columns stay in cache; twice as many where two threads would wait for each other
 _SERIAL = 4  # parts below which threads do not pay
 _THREADS = 2
 
@@ -108,7 +108,8 @@ def parts_of(model: Model, data: Measurements) -> tuple[Part, ...]:
     visit = data.experiment.row_visit
     count = len(visit)
     starts = np.flatnonzero(np.diff(visit, prepend=-1))
-    cuts = np.unique(starts[np.searchsorted(starts, np.arange(0, count, _ROWS), side="right") - 1])
+    size = 2 * _ROWS if count >= 2 * _SERIAL * _ROWS else _ROWS
+    cuts = np.unique(starts[np.searchsorted(starts, np.arange(0, count, size), side="right") - 1])
     slices = [slice(int(a), int(b)) for a, b in pairwise([*cuts, count])]
     return tuple(_each(slices, lambda rows: _part(model, data, rows)))
 
@@ -123,6 +124,21 @@ def _rows_alone(data: Measurements, rows: slice) -> Measurements:
     """Some rows without the shots and poses of the others."""
     part = take_rows(data, np.arange(rows.start, rows.stop))
     return replace(part, experiment=part.experiment.of_rows(np.arange(rows.stop - rows.start)))
+
+
+def predicted(model: Model, parts: Sequence[Part], values: Floats) -> Floats:
+    """(R, 3) where a model says that all rows are read, base frame, m.
+
+    Args:
+        model: The model.
+        parts: The rows (`parts_of` of this model).
+        values: (p,) parameters in their units.
+    """
+
+    def position(part: Part) -> Floats:
+        return respond(model, part.data.experiment, values, derivative=False, known=part.scene).position
+
+    return np.concatenate(_each(parts, position))
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,9 +194,10 @@ class Rows:
         """Do something with every part: its whitening, its whitened columns (K_i, p) and where they stand in all K."""
 
         def on(index: int) -> U:
-            operators = self.operators[index]
-            columns = operators.apply(_response(self.problem, self.problem.parts[index], self.state).derivative)
-            columns[:, ~self.problem.free] = 0.0
+            operators, problem = self.operators[index], self.problem
+            response = _response(problem, problem.parts[index], self.state)
+            columns = np.zeros((operators.size, len(problem.free)))
+            columns[:, problem.chosen] = operators.apply(response.derivative[:, :, problem.chosen])
             return work(operators, columns, self.slices[index])
 
         return _each(range(len(self.operators)), on)

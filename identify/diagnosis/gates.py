@@ -27,7 +27,7 @@ __all__ = ["LEVELS", "Gate", "family_probabilities", "flip_probabilities", "holm
 
 Gate = Literal["holm", "flip"]
 #: A block is significant if its family-wise probability is below this.
-LEVELS: dict[str, float] = {"holm": 0.01, "flip": 0.01}
+LEVELS: dict[str, float] = {"holm": 0.005, "flip": 0.005}
 _FLIP_LEVEL = 0.05  # of the flips, among the blocks that pass Holm's rule
 
 _FLIPS = 1000

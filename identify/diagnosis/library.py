@@ -29,7 +29,8 @@ _EVERYWHERE = "all"
 _PLACE = re.compile(r"j\d+|j\d+-j\d+|link\d+|base|column|flange|all")
 _COMPONENTS = re.compile(r"\.[xyz]$")
 _BY_NAME = ("marker_seating", "load_level")  # their places are ids of the study
-_TOGETHER = ("geometry", "thermal_growth", "wrist_coupling")  # also tried at all their places at once
+#: Also tried at all their places at once.
+_TOGETHER = ("geometry", "joint_compliance", "thermal_growth", "wrist_coupling")
 _KNEES = (0.08, 0.25)  # shares of the largest torque on the joint
 _FRICTION = (0.0, 0.05, 0.15, 0.4)  # shares of the largest torque of the load on the joint
 _SATURATIONS = (0.25, 0.5)  # shares of the largest torque on the joint

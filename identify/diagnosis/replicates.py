@@ -22,7 +22,7 @@ from identify.fit import Fit
 from identify.row_groups import classes
 from identify.tails import f_sf
 
-__all__ = ["Replicates", "replicates"]
+__all__ = ["Cluster", "Replicates", "cells_of", "clusters", "replicates"]
 
 _SAME = 1e-6  # rad, m, N or Nm: values this close are the same
 _SMALL = 1e-9
@@ -58,14 +58,15 @@ def replicates(found: Fit) -> Replicates | None:
     Args:
         found: A fit with weights of one.
     """
-    cell = _cells(found.data.experiment)
+    cell = cells_of(found.data.experiment)
     count = np.bincount(cell)
     repeated = count[cell] > 1
     if not repeated.any():
         return None
     chi2, dof = 0.0, 0
-    for residual, columns in _clusters(found, cell):
-        left, values, _ = np.linalg.svd(columns, full_matrices=False)
+    for cluster in clusters(found, cell):
+        residual = cluster.residual
+        left, values, _ = np.linalg.svd(cluster.means, full_matrices=False)
         basis = left[:, values > _SMALL * values.max(initial=0.0)]
         chi2 += float(residual @ residual - ((basis.T @ residual) ** 2).sum())
         dof += len(residual) - basis.shape[1]
@@ -76,7 +77,22 @@ def replicates(found: Fit) -> Replicates | None:
     return Replicates(int(repeated.sum()), chi2, dof, _scatter(found.residual, cell, count), ratio, p_value)
 
 
-def _cells(experiment: Experiment) -> Ints:
+@dataclass(frozen=True, eq=False)
+class Cluster:
+    """Visits that hang together by common cells, or that repeat some.
+
+    Attributes:
+        residual: (k,) whitened residual.
+        means: (k, 3 c) whitened columns of a free mean for each of c cells.
+        first_rows: First row of each visit, in their order.
+    """
+
+    residual: Floats
+    means: Floats
+    first_rows: tuple[int, ...]
+
+
+def cells_of(experiment: Experiment) -> Ints:
     """(R,) number of what each row reads."""
     shot = experiment.row_shot
     keys = [*(experiment.q[experiment.shot_pose[shot]] / _SAME).round().T, experiment.shot_load[shot]]
@@ -87,8 +103,8 @@ def _cells(experiment: Experiment) -> Ints:
     return classes(*keys, experiment.row_marker)
 
 
-def _clusters(found: Fit, cell: Ints) -> Iterator[tuple[Floats, Floats]]:
-    """Whitened residual (k,) and free means (k, 3 c) of visits that share cells or repeat some."""
+def clusters(found: Fit, cell: Ints) -> Iterator[Cluster]:
+    """The clusters of a fit's visits by the (R,) cells of its rows."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -98,6 +114,7 @@ def _clusters(found: Fit, cell: Ints) -> Iterator[tuple[Floats, Floats]]:
     _, label = connected_components(table, directed=False)
     rows_of, cells_of = np.bincount(label[visit]), np.bincount(label[size:])
     blocks: dict[int, list[tuple[Ints, Floats, Floats]]] = {}
+    first: dict[int, list[int]] = {}
     start = 0
     for index, operator in found.whitening.groups:
         width = operator.shape[1]
@@ -106,9 +123,10 @@ def _clusters(found: Fit, cell: Ints) -> Iterator[tuple[Floats, Floats]]:
             if rows_of[cluster] > cells_of[cluster]:
                 own = slice(start + number * width, start + (number + 1) * width)
                 blocks.setdefault(cluster, []).append((cell[rows], operator[number], found.whitened[own]))
+                first.setdefault(cluster, []).append(int(rows[0]))
         start += len(index) * width
-    for parts in blocks.values():
-        yield np.concatenate([part[2] for part in parts]), _free_means(parts)
+    for cluster, parts in blocks.items():
+        yield Cluster(np.concatenate([part[2] for part in parts]), _free_means(parts), tuple(first[cluster]))
 
 
 def _free_means(parts: list[tuple[Ints, Floats, Floats]]) -> Floats:

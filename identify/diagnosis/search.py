@@ -17,7 +17,7 @@ import numpy as np
 from identify.diagnosis.evidence import Evidence, evidence
 from identify.diagnosis.gates import LEVELS, Gate, family_probabilities
 from identify.diagnosis.library import Hypothesis, finer, hypotheses, merged_options, tried
-from identify.diagnosis.spread import noise_found, scaled
+from identify.diagnosis.spread import noise_found, scaled, wider
 from identify.errors import NoConvergence
 from identify.experiment import Measurements
 from identify.fit import Fit, State, fit, start
@@ -206,8 +206,8 @@ def with_noise_found(study: Study, found: Fit, gate: Gate) -> tuple[Study, Fit]:
     """Study and fit with the noise as large as the residual says, where the gate does not trust the stated one."""
     if gate == "holm":
         return study, found
-    wider = replace(study, noise=scaled(study.noise, noise_found(found, study.noise)))
-    return wider, fitted(wider, found.data, differences=found.whitening.cancels, begin=found)
+    louder = replace(study, noise=scaled(study.noise, wider(noise_found(found, study.noise))))
+    return louder, fitted(louder, found.data, differences=found.whitening.cancels, begin=found)
 
 
 def _is_plausible(seen: Evidence, block: int, hypothesis: Hypothesis) -> bool:

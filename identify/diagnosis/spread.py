@@ -16,9 +16,19 @@ from identify.arrays import Floats, Ints
 from identify.fit import Fit
 from identify.noise import instrument_covariance
 from identify.study import Noise, Tracker
-from identify.tails import student_sf
+from identify.tails import gamma_sf, student_sf
 
-__all__ = ["NoiseFound", "RangeNoise", "noise_found", "range_noise", "scaled"]
+__all__ = [
+    "NoiseFound",
+    "RangeNoise",
+    "louder_than_stated",
+    "noise_found",
+    "noise_parts",
+    "range_noise",
+    "scaled",
+    "sizes_of",
+    "wider",
+]
 
 _STEPS = 10
 _LEAST = 1e-4  # a share of variance below this is as good as zero
@@ -61,18 +71,62 @@ def noise_found(found: Fit, noise: Noise) -> NoiseFound:
         found: A fit with weights of one.
         noise: The noise it was made with.
     """
-    parts = _parts(found, noise)
     active = np.array([True, noise.reading_jitter > 0, noise.pose_jitter > 0 and not found.whitening.cancels])
-    share = np.where(active, 1.0, 0.0)
-    lost = found.dof / max(len(found.whitened), 1)
+    return sizes_of(noise_parts(found, noise), active, found.dof / max(len(found.whitened), 1))
+
+
+def louder_than_stated(found: Fit, noise: Noise) -> float:
+    """Probability of scatter so large along any part of the noise if all are as stated.
+
+    The score of each part, ``sum_i r_i' W_i r_i``, is held against a gamma distribution with the two moments that it has
+    under the stated noise; chi-square of all rows together would drown a doubled jitter. The smallest of the three
+    probabilities counts three times (Bonferroni).
+
+    Args:
+        found: A fit with weights of one.
+        noise: The noise it was made with.
+    """
+    columns = found.columns[:, found.identifiability.kept]
+    basis = np.linalg.qr(columns / np.linalg.norm(columns, axis=0))[0]
+    total, mean, spread, start = np.zeros(3), np.zeros(3), np.zeros(3), 0
+    for error, covariances in noise_parts(found, noise):
+        count, size = error.shape
+        own = basis[start : start + count * size].reshape(count, size, -1)
+        start += count * size
+        seen = covariances @ (np.eye(size) - own @ own.swapaxes(1, 2))[:, None]
+        total += np.einsum("gk,gakl,gl->a", error, covariances, error, optimize=True)
+        mean += np.einsum("gakk->a", seen)
+        spread += 2.0 * np.einsum("gakl,galk->a", seen, seen, optimize=True)
+    told = mean > 0
+    single = [
+        gamma_sf(*part)
+        for part in zip(total[told], mean[told] ** 2 / spread[told], spread[told] / mean[told], strict=True)
+    ]
+    return min(1.0, 3.0 * min(single, default=1.0))
+
+
+def sizes_of(parts: list[tuple[Floats, Floats]], active: np.ndarray, lost: float) -> NoiseFound:
+    """Sizes of the parts of the noise from errors and their covariances.
+
+    Args:
+        parts: Errors (G, k) and the covariances of the three parts of the noise (G, 3, k, k), by groups of visits.
+        active: (3,) True for parts that the errors show; the others count as stated.
+        lost: Share of the equations that no parameter took.
+    """
+    share = np.ones(3)
     for _ in range(_STEPS):
-        share[active] = np.maximum(_scored(parts, share, lost)[active], _LEAST)
-    return NoiseFound(*np.where(active, np.sqrt(share), 1.0).tolist())
+        share[active] = np.maximum(_scored(parts, share, active, lost), _LEAST)
+    return NoiseFound(*np.sqrt(share).tolist())
+
+
+def wider(sizes: NoiseFound) -> NoiseFound:
+    """The same sizes, none smaller than stated."""
+    return NoiseFound(*(max(size, 1.0) for size in (sizes.reading, sizes.reading_jitter, sizes.pose_jitter)))
 
 
 def scaled(noise: Noise, sizes: NoiseFound) -> Noise:
-    """The stated noise with its parts as large as they were found, but never smaller than stated."""
-    reading, shots, poses = (max(size, 1.0) for size in (sizes.reading, sizes.reading_jitter, sizes.pose_jitter))
+    """The stated noise with its parts multiplied by sizes."""
+    reading, shots, poses = sizes.reading, sizes.reading_jitter, sizes.pose_jitter
     tracker = noise.tracker
     if tracker is not None:
         parts = ("radial", "radial_per_m", "transverse", "transverse_per_m")
@@ -86,7 +140,7 @@ def scaled(noise: Noise, sizes: NoiseFound) -> Noise:
     )
 
 
-def _parts(found: Fit, noise: Noise) -> list[tuple[Floats, Floats]]:
+def noise_parts(found: Fit, noise: Noise) -> list[tuple[Floats, Floats]]:
     """For each group of visits the whitened residual (G, k) and the three whitened covariances (G, 3, k, k)."""
     scene, experiment = found.response.scene, found.data.experiment
     own = instrument_covariance(noise, scene.point, found.state.base_T_measurement[:3, 3])
@@ -113,8 +167,8 @@ def _by_shot(rows: Floats, shot: Ints) -> Floats:
     return summed
 
 
-def _scored(parts: list[tuple[Floats, Floats]], share: Floats, lost: float) -> Floats:
-    """One step of Fisher scoring for the three shares of variance."""
+def _scored(parts: list[tuple[Floats, Floats]], share: Floats, active: np.ndarray, lost: float) -> Floats:
+    """One step of Fisher scoring for the active shares of variance; the others stay."""
     fisher, right = np.zeros((3, 3)), np.zeros(3)
     for error, covariances in parts:
         total = np.tensordot(share, covariances, axes=(0, 1))
@@ -123,7 +177,8 @@ def _scored(parts: list[tuple[Floats, Floats]], share: Floats, lost: float) -> F
         fisher += np.einsum("gakl,gblk->ab", weighed, weighed, optimize=True)
         solved = np.linalg.solve(total, error[..., None])[..., 0]
         right += np.einsum("gk,gakl,gl->a", solved, covariances, solved, optimize=True)
-    return np.asarray(np.linalg.lstsq(fisher, right / lost, rcond=1e-10)[0])
+    known = fisher[active][:, ~active] @ share[~active]
+    return np.asarray(np.linalg.lstsq(fisher[active][:, active], right[active] / lost - known, rcond=1e-10)[0])
 
 
 def range_noise(found: Fit, noise: Noise) -> RangeNoise | None:

@@ -47,7 +47,7 @@ def patterns(found: Fit) -> tuple[Pattern, ...]:
     unloaded = scene.joints.torque[experiment.row_shot]
     torque = unloaded / np.maximum(np.abs(unloaded).max(axis=0), 1e-12)
     made = []
-    for name, shape in _functions(experiment):
+    for name, shape in _functions(experiment, found.model.robot.prismatic):
         for joint in range(motion.shape[1]):
             turned = motion[:, joint, :, None] * shape[:, None, :]
             for columns in (turned, turned * torque[:, joint, None, None]):
@@ -67,12 +67,13 @@ def _wandering(experiment: Experiment) -> Iterator[Pattern]:
         yield Pattern("time_s", 1e-3 * columns, np.full(6, np.inf))
 
 
-def _functions(experiment: Experiment) -> Iterator[tuple[str, Floats]]:
-    """Recorded quantities with their smooth functions (R, f)."""
+def _functions(experiment: Experiment, slides: np.ndarray) -> Iterator[tuple[str, Floats]]:
+    """Recorded quantities with their smooth functions (R, f); a sliding joint's stroke counts as half a turn."""
     q = experiment.q[experiment.shot_pose[experiment.row_shot]]
-    for joint in range(q.shape[1]):
-        angle = q[:, joint, None] * np.arange(1, _TURNS + 1)
-        yield f"q{joint + 1}_deg", np.hstack([np.sin(angle), np.cos(angle)])
+    for joint, sliding in enumerate(slides):
+        turn = q[:, joint] if not sliding else np.pi * q[:, joint] / max(float(np.ptp(q[:, joint])), 1e-9)
+        angle = turn[:, None] * np.arange(1, _TURNS + 1)
+        yield f"q{joint + 1}_{'mm' if sliding else 'deg'}", np.hstack([np.sin(angle), np.cos(angle)])
     for name, values in (("time_s", experiment.time), ("temperature_C", experiment.temperature)):
         if values is not None and np.ptp(values) > 0:
             unit = 2 * (values - values.min()) / np.ptp(values) - 1

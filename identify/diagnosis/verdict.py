@@ -8,13 +8,15 @@ from typing import Literal
 
 import numpy as np
 
+from identify.diagnosis.copies import without_copies
 from identify.diagnosis.evidence import evidence
 from identify.diagnosis.faults import Fault, faults, without_rows
 from identify.diagnosis.gain import Gain, gain
 from identify.diagnosis.gates import family_probabilities, holm_probabilities
+from identify.diagnosis.replicate_noise import ReplicateNoise, replicate_noise
 from identify.diagnosis.scatter import uneven
-from identify.diagnosis.search import Cause, Search, search, with_noise_found, with_rivals
-from identify.diagnosis.spread import NoiseFound, RangeNoise, noise_found, range_noise
+from identify.diagnosis.search import Cause, Search, fitted, search, with_noise_found, with_rivals
+from identify.diagnosis.spread import NoiseFound, RangeNoise, louder_than_stated, noise_found, range_noise, scaled
 from identify.diagnosis.structure import patterns
 from identify.errors import NotIdentifiable
 from identify.experiment import Experiment, Measurements
@@ -122,6 +124,7 @@ class _Conclusion:
     search: Search
     remainder: Remainder
     range_noise: RangeNoise | None = None
+    replicates: ReplicateNoise | None = None
 
 
 def diagnose(study: Study, data: Measurements, *, seed: int = 0, without: frozenset[str] = frozenset()) -> Diagnosis:
@@ -139,6 +142,9 @@ def diagnose(study: Study, data: Measurements, *, seed: int = 0, without: frozen
     """
     with one_thread():
         study, notes = _with_reference(study, data)
+        data, copies = without_copies(data)
+        if copies:
+            notes = (*notes, f"{copies} poses repeat others number by number and count once")
         rules = _Rules(study.reference == "differences", seed, without)
         _check_enough(study, data)
         wrong = faults(_robust(study, data, rules), study.noise, limit=_FIRST)
@@ -212,14 +218,23 @@ def _rows(wrong: tuple[Fault, ...]) -> list[int]:
 
 
 def _concluded(study: Study, clean: Measurements, rules: _Rules) -> _Conclusion:
-    """Causes by the stated noise; by sign flips if the extended model still contradicts it."""
-    found = _searched(study, clean, rules)
+    """Causes by the stated noise or that of replicates; by sign flips if the extended model still contradicts it."""
+    study, repeated = _with_replicates(study, clean, rules)
+    found = replace(_searched(study, clean, rules), replicates=repeated)
     if found.remainder.present:
         return found
     wider = range_noise(found.search.last, study.noise)
     if wider is None or wider.p_value > _RANGE:
         return found
-    return replace(_searched(replace(study, noise=wider.noise), clean, rules), range_noise=wider)
+    return replace(_searched(replace(study, noise=wider.noise), clean, rules), range_noise=wider, replicates=repeated)
+
+
+def _with_replicates(study: Study, clean: Measurements, rules: _Rules) -> tuple[Study, ReplicateNoise | None]:
+    """The study with the noise of its replicates, where these contradict the stated one."""
+    scatter = replicate_noise(fitted(study, clean, differences=rules.differences), study.noise)
+    if scatter is None or scatter.p_value >= _REJECTED:
+        return study, None
+    return replace(study, noise=scaled(study.noise, scatter.sizes)), scatter
 
 
 def _searched(study: Study, clean: Measurements, rules: _Rules) -> _Conclusion:
@@ -227,11 +242,8 @@ def _searched(study: Study, clean: Measurements, rules: _Rules) -> _Conclusion:
     search_by = partial(search, study, clean, differences=rules.differences, rng=rules.rng(), without=rules.without)
     trusting = search_by(gate="holm", rivals=False)
     lack = lack_of_fit(trusting.last, np.zeros(0, dtype=np.int64))
-    done = (
-        with_rivals(trusting, rules.without)
-        if lack.p_value >= _REJECTED
-        else search_by(gate="flip", begin=trusting.first)
-    )
+    trusted = min(lack.p_value, louder_than_stated(trusting.last, study.noise)) >= _REJECTED
+    done = with_rivals(trusting, rules.without) if trusted else search_by(gate="flip", begin=trusting.first)
     return _Conclusion(done, _remainder(done, lack_of_fit(done.last, np.zeros(0, dtype=np.int64)), rules))
 
 
@@ -277,11 +289,19 @@ def _result(
         range_noise=concluded.range_noise,
         remainder=concluded.remainder,
         first_lack=first,
-        noise=noise_found(done.last, done.study.noise),
+        noise=_against_stated(noise_found(done.last, done.study.noise), concluded.replicates),
         gain=gain(base, done, differences=rules.differences, rng=rules.rng(), without=rules.without) if named else None,
         identification=identify(done.study, data, seed=rules.seed),
-        notes=(*notes, *_notes(done)),
+        notes=(*notes, *_notes(done, concluded.replicates)),
     )
+
+
+def _against_stated(found: NoiseFound, repeated: ReplicateNoise | None) -> NoiseFound:
+    """Sizes of the noise against what is stated, where the search took that of the replicates."""
+    if repeated is None:
+        return found
+    ours, theirs = (np.array([s.reading, s.reading_jitter, s.pose_jitter]) for s in (found, repeated.sizes))
+    return NoiseFound(*(ours * theirs).tolist())
 
 
 def _verdict(concluded: _Conclusion, first: LackOfFit, wrong: tuple[Fault, ...]) -> Verdict:
@@ -295,11 +315,12 @@ def _verdict(concluded: _Conclusion, first: LackOfFit, wrong: tuple[Fault, ...])
     return "ambiguous" if any(cause.rivals for cause in causes) else "cause_found"
 
 
-def _notes(done: Search) -> tuple[str, ...]:
+def _notes(done: Search, repeated: ReplicateNoise | None) -> tuple[str, ...]:
     """How significance was decided."""
+    source = "stated noise" if repeated is None else f"noise of the replicates ({repeated.dof} degrees of freedom)"
     if done.gate == "holm":
-        return ("the stated noise is consistent with the extended model: significance by Holm's rule",)
+        return (f"the {source} is consistent with the extended model: significance by Holm's rule",)
     return (
-        "the stated noise contradicts the readings even with the extended model: significance by flipping the signs "
-        "of whole poses, which needs no stated noise",
+        f"the {source} contradicts the readings even with the extended model: significance with the noise as found, "
+        "and by flipping the signs of whole poses, which needs no stated noise",
     )

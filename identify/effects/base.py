@@ -161,7 +161,7 @@ class Scene:
     @cached_property
     def load_on_joints(self) -> Floats:
         """(S, n) torque (force) that the load alone, without self-weight, puts on each joint."""
-        return _load_torque(self.experiment, self.frames, joint_springs)
+        return _load_torque(self.experiment, self.frames, joint_springs, joint_springs(self.frames))
 
     @cached_property
     def links(self) -> Fields:
@@ -188,21 +188,21 @@ class Scene:
         return self._loaded("joints")[1]
 
     def turned(self, joint: int, angle: Floats) -> Floats:
-        """(R, 3) motion of the markers, m, where a joint of the undeflected arm yields by ``angle`` (S,), rad or m."""
-        yielded = np.zeros((len(angle), self.frames.robot.n))
-        yielded[:, joint] = angle
-        return self._carried(self._twists("joints", yielded))
+        """Twists (S, 6) of the flange where a joint of the undeflected arm yields by ``angle`` (S,), rad or m."""
+        twists: Floats = self._loaded("joints")[0][self.experiment.shot_pose, :, joint] * angle[:, None]
+        return twists
 
-    def moved_by(self, springs: SpringSet, compliance: Floats) -> Floats:
-        """(R, 3) motion of the markers, m, where springs of ``compliance`` (s, s), SI, yield to their torques.
-
-        The flange moves as a rigid body, so that one twist a shot serves all its markers.
-        """
+    def yielded(self, springs: SpringSet, compliance: Floats) -> Floats:
+        """Twists (S, 6) of the flange where springs of ``compliance`` (s, s), SI, yield to their torques."""
         known = self._arm.twists.get(springs)
         if known is None or not np.array_equal(known[0], compliance):
             known = compliance, self._twists(springs, self._loaded(springs)[1] @ compliance.T)
             self._arm.twists[springs] = known
-        return self._carried(known[1])
+        return known[1]
+
+    def moved_by(self, springs: SpringSet, compliance: Floats) -> Floats:
+        """(R, 3) motion of the markers, m, where springs of ``compliance`` (s, s), SI, yield to their torques."""
+        return self.carried(self.yielded(springs, compliance))
 
     def _twists(self, springs: SpringSet, yielded: Floats) -> Floats:
         """(S, 6) twists of the flange where springs yield by (S, s)."""
@@ -212,12 +212,18 @@ class Scene:
         twists[loaded] = (every @ yielded[loaded, :, None])[:, :, 0]
         return twists
 
-    def _carried(self, twists: Floats) -> Floats:
-        """(R, 3) what twists (S, 6) of the flange do to the undeflected markers."""
+    def carried(self, twists: Floats) -> Floats:
+        """(R, 3) what twists (S, 6) of the flange (`identify.springs.screws`) do to the undeflected markers, m."""
         experiment = self.experiment
         moved = carry(twists[experiment.row_shot, :, None], self.point[:, None])[:, 0, :, 0]
-        moved[experiment.markers.on_base[experiment.row_marker]] = 0.0
+        moved[self.on_base] = 0.0
         return moved
+
+    @property
+    def on_base(self) -> np.ndarray:
+        """(R,) True for rows of markers on the base, which no deflection moves."""
+        markers = self.experiment.markers
+        return np.asarray(markers.on_base[self.experiment.row_marker])
 
     def with_markers(self, positions: Floats) -> Scene:
         """The same arm under the same loads, undeflected, with markers elsewhere: (M, 3) in their own frames, m."""
@@ -234,7 +240,7 @@ class Scene:
         """Screws (C, 6, s) of a set of springs in all poses, and its torques (S, s)."""
         if name not in self._arm.springs:
             springs = _SPRINGS[name](self.frames)
-            torque = _load_torque(self.experiment, self.frames, _SPRINGS[name])
+            torque = _load_torque(self.experiment, self.frames, _SPRINGS[name], springs)
             if self.self_weight:
                 torque += self_weight_torque(springs, self.frames)[self.experiment.shot_pose]
             self._arm.springs[name] = screws(springs), torque
@@ -274,6 +280,8 @@ class Effect:
         terms: These pairs, one a parameter.
         held: Pairs that yield too and are not fitted, with their values in their units.
         stops: Joint values (rad or m), by joint index, at which alone it is defined: candidates stop there.
+        twist: ``(scene, values) -> (S, 6)`` where the displacement is that of a flange which moves as a rigid body on
+            the undeflected arm (`Scene.carried`): one twist a shot then serves all its markers.
     """
 
     name: str
@@ -292,6 +300,7 @@ class Effect:
     terms: tuple[Term, ...] = ()
     held: tuple[tuple[Term, float], ...] = ()
     stops: Mapping[int, Floats] = field(default_factory=lambda: MappingProxyType({}))
+    twist: Displacement | None = None
 
 
 def build_scene(experiment: Experiment, frames: Frames, positions: Floats, *, self_weight: bool) -> Scene:
@@ -313,19 +322,21 @@ def _points(experiment: Experiment, frames: Frames, positions: Floats) -> Floats
     return points
 
 
-def _load_torque(experiment: Experiment, frames: Frames, springs_of: Callable[[Frames], Springs]) -> Floats:
-    """Torque of what hangs on the flange or of the measured wrench, (S, s)."""
+def _load_torque(
+    experiment: Experiment, frames: Frames, springs_of: Callable[[Frames], Springs], springs: Springs
+) -> Floats:
+    """Torque of what hangs on the flange or of the measured wrench, (S, s); ``springs`` are those of all poses."""
     torque: Floats | None = None
     for index, load in enumerate(experiment.loads):
         shots = np.flatnonzero((experiment.shot_load == index) & ~experiment.shot_unloaded)
         if len(shots):
             measured = None if experiment.wrench is None else experiment.wrench[shots]
             there = _at(frames, experiment.shot_pose[shots])
-            part = load_torque(springs_of(there), *_wrench(load, measured, there))
+            part = load_torque(springs if there is frames else springs_of(there), *_wrench(load, measured, there))
             torque = np.zeros((len(experiment.shot_load), part.shape[1])) if torque is None else torque
             torque[shots] = part
     if torque is None:
-        return np.zeros((len(experiment.shot_load), len(springs_of(_at(frames, np.arange(1))).slides)))
+        return np.zeros((len(experiment.shot_load), len(springs.slides)))
     return torque
 
 

@@ -64,14 +64,22 @@ def spring_effect(
             columns[:, :, mutual] += back
         return columns
 
-    def displacement(scene: Scene, values: Floats) -> Floats:
+    def matrix(scene: Scene, values: Floats) -> Floats:
         size = scale * values
         compliance = np.zeros((scene.torque(springs).shape[1],) * 2)
         np.add.at(compliance, (first, second), size)
         np.add.at(compliance, (second[mutual], first[mutual]), size[mutual])
-        return scene.moved_by(springs, compliance)
+        return compliance
 
-    return Effect(name, parameters, displacement, derivative, why_zero, linear=True, springs=springs, terms=terms)
+    def displacement(scene: Scene, values: Floats) -> Floats:
+        return scene.moved_by(springs, matrix(scene, values))
+
+    def twist(scene: Scene, values: Floats) -> Floats:
+        return scene.yielded(springs, matrix(scene, values))
+
+    return Effect(
+        name, parameters, displacement, derivative, why_zero, linear=True, springs=springs, terms=terms, twist=twist
+    )
 
 
 def joint_compliance(binding: Binding) -> Effect:
@@ -144,7 +152,9 @@ def _with_constants(effect: Effect, binding: Binding) -> Effect:
         moved: Floats = effect.displacement(scene, fit) + rest.displacement(scene, values)
         return moved
 
-    return replace(effect, displacement=displacement, held=tuple(zip(held, constants.values(), strict=True)))
+    return replace(
+        effect, displacement=displacement, twist=None, held=tuple(zip(held, constants.values(), strict=True))
+    )
 
 
 def _mirrored(name: str) -> str:

@@ -55,12 +55,15 @@ def joint_turns(name: str, parts: Sequence[JointTurn]) -> Effect:
     lent = own[-1] + np.cumsum([0, *(len(part.borrowed) for part in parts)])
     inputs = [np.r_[own[i] : own[i + 1], lent[i] : lent[i + 1]] for i in range(len(parts))]
 
-    def displacement(scene: Scene, values: Floats) -> Floats:
-        moved = np.zeros_like(scene.point)
+    def twist(scene: Scene, values: Floats) -> Floats:
+        twists = np.zeros((len(scene.experiment.shot_load), 6))
         for part, index in zip(parts, inputs, strict=True):
             angle, _ = part.turn(scene, values[index])
-            moved += scene.turned(part.joint, angle)
-        return moved
+            twists += scene.turned(part.joint, angle)
+        return twists
+
+    def displacement(scene: Scene, values: Floats) -> Floats:
+        return scene.carried(twist(scene, values))
 
     def derivative(scene: Scene, values: Floats) -> Floats:
         columns = np.zeros((len(scene.point), 3, lent[-1]))
@@ -83,6 +86,7 @@ def joint_turns(name: str, parts: Sequence[JointTurn]) -> Effect:
         borrowed=tuple(name for part in parts for name in part.borrowed),
         linear=all(part.linear for part in parts),
         stops={part.joint: part.stops for part in parts if part.stops is not None},
+        twist=twist,
     )
 
 

@@ -11,7 +11,7 @@ from identify.fit import State, fit
 from identify.kinematics import flange_poses
 from identify.loads import Markers
 from identify.model import model_of, respond
-from identify.noise import instrument_covariance, whitening
+from identify.noise import _inverse_root, instrument_covariance, whitening
 from identify.simulate import simulate
 from identify.study import Noise, Tracker
 from identify.uncertainty import stated_covariance
@@ -170,6 +170,17 @@ def test_the_fast_path_of_balanced_visits_equals_the_general_one(free_offsets):
     first, second = (flat_operator(w, rows) for w in (fast, slow))
     scale = np.abs(second.T @ second).max()
     np.testing.assert_allclose(first.T @ first / scale, second.T @ second / scale, atol=1e-9)
+
+
+@pytest.mark.parametrize(("count", "size"), [(3, 9), (64, 1), (1000, 9), (300, 18), (70, 60)])
+def test_roots_of_many_matrices_are_those_of_each(count, size):
+    """Few, many, more than are taken at once, and too large to be taken at once."""
+    draw = np.random.default_rng(6).normal(size=(count, size, 2 * size))
+    covariance = draw @ draw.swapaxes(1, 2)
+    root = _inverse_root(covariance)
+    np.testing.assert_allclose(np.triu(root, 1), 0.0, atol=1e-12)
+    unit = root @ covariance @ root.swapaxes(1, 2)
+    np.testing.assert_allclose(unit, np.broadcast_to(np.eye(size), unit.shape), atol=1e-11)
 
 
 def test_the_beam_is_known_better_than_its_direction():

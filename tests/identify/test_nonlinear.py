@@ -324,7 +324,8 @@ def test_friction_sits_where_joints_yield():
         ("backlash@j7", {}, "backlash@j7: no such place; allowed are j1 ... j6"),
         ("backlash", {"gap": 1.0}, r"\[model.backlash\] gap: unknown key; backlash has no options"),
         ("stiction", {"gap": 1.0}, "stiction has no options"),
-        ("joint_hardening", {"power": 3}, "joint_hardening has no options"),
+        ("joint_hardening", {"power": 3}, "power: unknown key; allowed: saturation_Nm, saturation_N"),
+        ("joint_hardening", {"saturation_Nm": 0}, "saturation_Nm = 0: a finite number above 0"),
         ("joint_windup", {"knee": 3}, "knee: unknown key; allowed: knee_Nm, knee_N, fit_knee"),
         ("joint_windup", {"knee_Nm": 0}, r"\[model.joint_windup\] knee_Nm = 0: a number above 0"),
         ("joint_windup", {"knee_Nm": -5.0}, "knee_Nm = -5.0: a number above 0"),
@@ -349,3 +350,14 @@ def test_a_column_of_zeros_is_explained():
     assert "state joint_windup.j1.amplitude under [model.nominal]" in bound["joint_windup"].why_zero(1)
     assert "state joint_compliance.j2 under [model.nominal]" in bound["stiction"].why_zero(1)
     assert set(NONLINEAR) <= set(REGISTRY)
+
+
+def test_hardening_that_saturates_is_the_cube_below_and_linear_above_its_torque():
+    options = {"joint_hardening": {"j2": {"saturation_Nm": 500.0}}}
+    study = placed(kr270(), "joint_hardening@j2", options=options)
+    model, scene = model_of(study), scene_of(study)
+    torque, moved = scene.joints.torque[:, 1], model.effects[0].displacement(scene, np.array([2.0]))
+    angle = 2.0e-15 * torque**3 / (1.0 + (torque / 500.0) ** 2)
+    assert np.abs(torque).max() > 1000.0
+    expected = scene.joints.motion[:, 1] * angle[scene.experiment.row_shot, None]
+    np.testing.assert_allclose(moved, expected, rtol=1e-10, atol=1e-15)

@@ -6,12 +6,20 @@ import numpy as np
 import pytest
 
 from identify import whitened_rows
+from identify.experiment import full_experiment
 from identify.identification import fit_differences, identify
+from identify.loads import Markers
 from identify.model import model_of, respond, undeflected
-from identify.uncertainty import load_changes_by_sigma, off_columns
-from tests.identify.studies import COMPLIANCE, UNLOADED, WEIGHT, geometry_errors, kr270_study, measured
+from identify.row_distances import _square
+from identify.uncertainty import _scores, load_changes_by_sigma, off_columns
+from tests.identify.studies import COMPLIANCE, PLATE, UNLOADED, WEIGHT, geometry_errors, kr270_study, measured, poses
 
 UNSURE = replace(WEIGHT, mass_std=2.0, attach_std=0.002)
+WITH_BASE = Markers(
+    names=(*PLATE.names, "F1"),
+    positions=np.vstack([PLATE.positions, [[1.0, 0.8, 0.1]]]),
+    on_base=np.array([False, False, False, True]),
+)
 
 
 def spoiled(data):
@@ -30,7 +38,7 @@ def test_parts_change_nothing(monkeypatch, reference, effects):
     truth = {**COMPLIANCE, **(geometry_errors(study.robot, rng) if "geometry" in effects else {})}
     data = spoiled(measured(study, rng, count=40, values=truth))
     whole = identify(study, data)
-    monkeypatch.setattr(whitened_rows, "_ROWS", 24)
+    monkeypatch.setattr(whitened_rows, "_ROWS", 12)
     cut = identify(study, data)
     assert len(whole.fit.rows.problem.parts) == 1
     assert len(cut.fit.rows.problem.parts) >= 2 * whitened_rows._SERIAL
@@ -45,7 +53,7 @@ def test_parts_change_nothing(monkeypatch, reference, effects):
     assert cut.heldout.misfit.rms == pytest.approx(whole.heldout.misfit.rms, rel=1e-8)
 
 
-@pytest.mark.parametrize("rows", [24, 10_000])
+@pytest.mark.parametrize("rows", [12, 10_000])
 def test_the_triangle_stands_for_the_columns(monkeypatch, rows):
     rng = np.random.default_rng(21)
     study = kr270_study(reference="differences", loads=(UNLOADED, UNSURE))
@@ -80,3 +88,39 @@ def test_markers_elsewhere_ride_on_the_same_arm():
         np.testing.assert_allclose(other.position, own.position, rtol=0, atol=1e-14)
         np.testing.assert_allclose(other.derivative, own.derivative, rtol=1e-9, atol=1e-12)
     assert undeflected(model_of(replace(study, effects=("geometry",))), experiment) is None
+
+
+@pytest.mark.parametrize("equilibrium", ["linear", "loaded"])
+@pytest.mark.parametrize(
+    "effects", [("joint_compliance", "joint_hardening"), ("joint_compliance", "link_compliance", "geometry")]
+)
+def test_a_marker_moves_its_readings_as_its_columns_say(effects, equilibrium):
+    """Central differences of the whole response, with deflections of centimetres and a marker on the base."""
+    rng = np.random.default_rng(23)
+    study = kr270_study(effects=effects, equilibrium=equilibrium, markers=WITH_BASE)
+    model = model_of(study)
+    experiment = full_experiment(poses(study, 4, rng), np.tile([0, 1], (4, 1)), study.loads, study.markers)
+    stiff = np.array([name.startswith("joint_compliance") for name in model.names])
+    values = model.nominal + stiff * rng.uniform(1.0, 3.0, len(stiff))
+    response = respond(model, experiment, values)
+    assert np.abs(response.deflection).max() > 5e-3
+    for column in range(model.frame_size, model.frame_size + model.marker_size):
+        step = 0.1 * (np.arange(len(values)) == column)
+        ahead, behind = (
+            respond(model, experiment, v, derivative=False).position for v in (values + step, values - step)
+        )
+        np.testing.assert_allclose(response.derivative[:, :, column], (ahead - behind) / 0.2, rtol=0, atol=2e-9)
+    assert np.abs(response.derivative - response.direct).max() > 1e-6
+
+
+def test_squared_shifts_and_scores_are_those_of_the_plain_formulas():
+    rng = np.random.default_rng(24)
+    root = rng.normal(size=(50, 4, 3, 5)) * [[1.0], [10.0], [100.0]]
+    precision, score = root @ root.swapaxes(2, 3), rng.normal(size=(50, 4, 3))
+    expected = np.einsum("gmi,gmij,gmj->gm", score, np.linalg.inv(precision), score)
+    np.testing.assert_allclose(_square(precision, score), expected, rtol=1e-9)
+    for share in (0.0, 0.01, 0.3, 0.9):
+        basis, whitened = rng.normal(size=(20, 6, 4)), rng.normal(size=(20, 6))
+        basis *= np.sqrt(share) / np.linalg.norm(basis, axis=(1, 2), keepdims=True)
+        left = np.linalg.solve(np.eye(6) - basis @ basis.swapaxes(1, 2), whitened[..., None])
+        np.testing.assert_allclose(_scores(basis, whitened), (basis.swapaxes(1, 2) @ left)[..., 0], atol=1e-13)
