@@ -12,6 +12,9 @@ from types import ModuleType
 
 import pytest
 
+from identify.diagnosis import evidence, faults, gain, gates, replicate_noise, search, verdict
+from identify.fit import OUTLYING
+
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -108,6 +111,34 @@ def test_every_key_of_a_diagnosis_is_documented(demo: tuple[Path, list[tuple[str
     keys = {key for table in tables for key in table} - {"schema", "provenance"}
     assert len(keys) > 50
     assert not [key for key in sorted(keys) if not re.search(rf"`(\w+\.)?{key}`", section)]
+
+
+def test_limits_of_a_diagnosis_are_those_of_the_code() -> None:
+    theory = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")
+    section = " ".join(theory[theory.index("## Diagnosis") : theory.index("## What to measure next")].split())
+    said = (
+        f"less than {evidence._INVISIBLE:g} sigma at the largest plausible size",
+        f"(by {search._SURE:g} sigma) more than {search._BEYOND:g} times what is plausible",
+        f"after Holm's rule (1979) is below {100 * gates.LEVELS['holm']:g} %",
+        f"at least {replicate_noise._LEAST} degrees of freedom",
+        f"agrees with it at {100 * verdict._REJECTED:g} %",
+        f"over {gates._FLIPS} random flips of whole visits, at {100 * gates._FLIP_LEVEL:g} %",
+        f"take off {100 * search._WORTH:g} % of the left-out error",
+        f"(the {search._SHORTLIST} most probable)",
+        f"up to {search._MOST} causes",
+        f"(Wald's test, p above {100 * search._STILL:g} %)",
+        f"explains {100 * search._NEAR:g} % of what the cause does",
+        f"significant at {100 * verdict._PATTERN:g} % among all of its kind",
+        f"more than {verdict._TOO_WIDE:g} times its stated size",
+        f"At {100 * verdict._RANGE:g} % `range_noise` is a cause",
+        f"limits of {verdict._FIRST:g} and {verdict._LATER:g} robust sigmas",
+        f"beyond {OUTLYING:g} robust scales",
+        f"at least {faults._GAIN:g} times smaller, and at most {faults._MENDED:g} times that of usual visits",
+        f"{gain._BOOTSTRAPS} resamplings",
+        f"Above {gain._MANY} visits",
+        f"Fewer than {verdict._LEAST_VISITS} poses",
+    )
+    assert not [words for words in said if words not in section]
 
 
 def links(page: Path) -> set[str]:
