@@ -78,9 +78,9 @@ def noise_found(found: Fit, noise: Noise) -> NoiseFound:
 def louder_than_stated(found: Fit, noise: Noise) -> float:
     """Probability of scatter so large along any part of the noise if all are as stated.
 
-    The score of each part, ``sum_i r_i' W_i r_i``, is held against a gamma distribution with the two moments that it has
-    under the stated noise; chi-square of all rows together would drown a doubled jitter. The smallest of the three
-    probabilities counts three times (Bonferroni).
+    The score of each part, ``sum_i r_i' W_i r_i``, is held against a gamma distribution with the two moments that it
+    has under the stated noise; chi-square of all rows together would drown a doubled jitter. The smallest of the
+    three probabilities counts three times (Bonferroni).
 
     Args:
         found: A fit with weights of one.
