@@ -76,6 +76,7 @@ class Contest:
         beside = np.stack([whole - _imitated(left, there, self._signals) for there in self.where], axis=-1)
         every = np.arange(len(self.where))
         beside[..., every, every] = np.inf
+        beside[..., self.nested, 0] = np.inf  # if such a rival is true, the cause with its further freedom fits too
         energy: Floats = np.maximum(beside, 0.0)
         return energy
 
@@ -84,6 +85,11 @@ class Contest:
         """(k + 1, k + 1) directions in which the first is seen beside the second; 0 where it lies inside it."""
         left = self._beyond_model(self.everything)
         return np.array([[_rank(left, here, there) for there in self.where] for here in self.where])
+
+    @cached_property
+    def nested(self) -> np.ndarray:
+        """Numbers of the rivals that lie inside the cause, which holds more: only what is beyond them can tell."""
+        return np.flatnonzero((self.dofs[:, 0] == 0) & (self.dofs[0] > 0))
 
     @cached_property
     def needed(self) -> Floats:

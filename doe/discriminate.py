@@ -214,6 +214,7 @@ def _separable(one: Contest) -> np.ndarray:
         reached = _of_pairs(one.energies(one.measured + one.possible[best].sum(axis=0)))
         able[[first, second], [second, first]] = reached[first, second] >= one.needed[first, second]
     inside = one.dofs == 0
+    inside[one.nested, 0] = False
     entries = np.array([h.entry for h in (one.cause, *one.rivals)])
     return np.asarray(able & ~inside & ~inside.T & (entries[:, None] != entries))
 
@@ -298,7 +299,7 @@ def _judged(
                     then=None if then is None else float(then[own].min()),
                     needed=float(one.needed[0, 1 + own].max()),
                     separable=can,
-                    exact=bool((one.dofs[0, 1 + own] == 0).any() or (one.dofs[1 + own, 0] == 0).any()),
+                    exact=bool((one.dofs[0, 1 + own] == 0).any()),
                     advice=remedy(one.cause.name, name.partition("@")[0], bool(can)),
                 )
             )

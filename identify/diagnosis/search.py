@@ -35,8 +35,8 @@ _STILL = 1e-3  # a cause that is significant at this level beside a rival drives
 _WORTH = 0.01  # share of the chi-square that a cause must take off where the covariance is not trusted
 _SURE = 2.0  # standard deviations by which a size must exceed what is possible before it is refused
 _BEYOND = 10.0  # times what is plausible: a larger size is no explanation
-#: Curves that can imitate nearly anything once they may be large: beyond what is plausible they are no explanation.
 _NEAR = 0.7  # of a cause's score, from which on a rival's options are searched more finely
+#: Curves that can imitate nearly anything once they may be large: beyond what is plausible they are no explanation.
 _STRICT = ("transmission_error", "approach_hysteresis", "joint_windup")
 
 
