@@ -120,9 +120,7 @@ def _parameter(robot: Robot, slot: _Slot, step: str) -> Parameter:
     """The parameter of one elementary displacement."""
     place = f"j{slot.frame + 1}" if slot.frame < robot.n else "flange"
     unit = "mm" if step[0] == "t" else "mrad"
-    return Parameter(
-        f"geometry.{place}.{slot.names[step]}", unit, SI_OF[unit], limit=LIMIT, plausible=LIMIT, typical=0.5
-    )
+    return Parameter(f"geometry.{place}.{slot.names[step]}", unit, SI_OF[unit], limit=0.5, plausible=LIMIT, typical=0.5)
 
 
 def _elementary(step: str, size: float) -> Floats:
