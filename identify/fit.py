@@ -84,7 +84,8 @@ class Fit:
     @cached_property
     def response(self) -> Response:
         """The model at the solution, all rows and columns at once."""
-        return respond(self.model, self.data.experiment, self.state.values, wanted=self.fitted)
+        bending = self.rows.problem.bending
+        return respond(self.model, self.data.experiment, self.state.values, wanted=self.fitted, bending=bending)
 
     @property
     def reading(self) -> Floats:

@@ -79,31 +79,38 @@ def independent_columns(upper: Floats, limits: Floats | None = None, spread: flo
     norms = np.linalg.norm(upper, axis=0)
     norms = np.where(norms > _ROUNDING * norms.max(initial=0.0), norms, 0.0)
     smallest = TOLERANCE * norms if limits is None else np.maximum(TOLERANCE * norms, spread / limits)
-    basis = np.zeros((upper.shape[0], 0))
+    basis = np.zeros(upper.shape, order="F")
     kept: list[int] = []
     dropped: list[tuple[int, float]] = []
     for column in range(upper.shape[1]):
         fresh = upper[:, column]
         for _ in range(2):  # twice is enough (Kahan, Parlett)
-            fresh = fresh - basis @ (basis.T @ fresh)
+            before = basis[:, : len(kept)]
+            fresh = fresh - before @ (before.T @ fresh)
         size = np.linalg.norm(fresh)
         if norms[column] > 0 and size > smallest[column]:
-            basis = np.column_stack([basis, fresh / size])
+            basis[:, len(kept)] = fresh / size
             kept.append(column)
         else:
             dropped.append((column, float(spread / size) if size > TOLERANCE * norms[column] > 0 else float("inf")))
-    return Identifiability(np.array(kept, dtype=np.int64), tuple(_explain(upper, norms, kept, *d) for d in dropped))
+    return Identifiability(np.array(kept, dtype=np.int64), _explained(upper, norms, np.array(kept, np.int64), dropped))
 
 
-def _explain(upper: Floats, norms: Floats, kept: list[int], column: int, std: float) -> Dropped:
-    """Write a dropped column as a combination of kept ones."""
-    if norms[column] == 0.0 or not kept:
-        return Dropped(column, (), np.zeros(0), std)
+def _explained(upper: Floats, norms: Floats, kept: Ints, dropped: list[tuple[int, float]]) -> tuple[Dropped, ...]:
+    """Write dropped columns as combinations of kept ones."""
+    visible = [column for column, _ in dropped if norms[column] > 0.0] if len(kept) else []
     unit = upper[:, kept] / norms[kept]
-    share = np.linalg.lstsq(unit, upper[:, column] / norms[column], rcond=None)[0]
-    used = np.abs(share) > _SHARE
-    alike = tuple(np.array(kept)[used].tolist())
-    return Dropped(column, alike, share[used] * norms[column] / norms[list(alike)], std)
+    shares = np.linalg.lstsq(unit, upper[:, visible] / norms[visible], rcond=None)[0] if visible else np.zeros((0, 0))
+    made = []
+    for column, std in dropped:
+        if column not in visible:
+            made.append(Dropped(column, (), np.zeros(0), std))
+            continue
+        share = shares[:, visible.index(column)]
+        used = np.abs(share) > _SHARE
+        alike = kept[used]
+        made.append(Dropped(column, tuple(alike.tolist()), share[used] * norms[column] / norms[alike], std))
+    return tuple(made)
 
 
 def why_not(model: Model, dropped: Dropped) -> str:

@@ -134,7 +134,7 @@ class Identification:
         return float(100.0 * (1.0 - after.rms / before.rms)) if len(before.error) else None
 
 
-def identify(study: Study, data: Measurements, *, seed: int = 0) -> Identification:
+def identify(study: Study, data: Measurements, *, seed: int = 0, found: Fit | None = None) -> Identification:
     """Fit the parameters of a study to readings.
 
     Loaded and unloaded readings enter one likelihood (reference ``absolute``), or every visit gets a
@@ -144,18 +144,19 @@ def identify(study: Study, data: Measurements, *, seed: int = 0) -> Identificati
         study: The study.
         data: The readings.
         seed: Seed of the held-out split.
+        found: A fit of the study's model to these readings, which is taken as it is; by default they are fitted.
 
     Raises:
         NotIdentifiable: No parameter can be identified, or there are fewer rows than unknowns.
         NoConvergence: The fit did not converge.
     """
     with one_thread():
-        return _identify(study, data, seed)
+        return _identify(study, data, seed, found)
 
 
-def _identify(study: Study, data: Measurements, seed: int) -> Identification:
-    model = model_of(study)
-    found, reference, notes = _choose_reference(study, model, data)
+def _identify(study: Study, data: Measurements, seed: int, known: Fit | None) -> Identification:
+    model = model_of(study) if known is None else known.model
+    found, reference, notes = _choose_reference(study, model, data) if known is None else _as_it_is(known)
     _check_enough(found)
     worst = rows_that_do_not_fit(found)
     lack = lack_of_fit(found, worst)
@@ -181,6 +182,11 @@ def _identify(study: Study, data: Measurements, seed: int) -> Identification:
         heldout=heldout,
         notes=notes,
     )
+
+
+def _as_it_is(found: Fit) -> tuple[Fit, Literal["absolute", "differences"], tuple[str, ...]]:
+    """A fit that is at hand, with the reference that it was made with."""
+    return found, "differences" if found.whitening.cancels else "absolute", ()
 
 
 def _choose_reference(
@@ -365,10 +371,11 @@ def heldout_misfit(study: Study, found: Fit, reference: str, judged: np.ndarray,
     rows = rows_of_visits(found.data.experiment, ~judged)
     part = take_rows(found.data, rows)
     begin = State(found.state.values, found.state.base_T_measurement, found.state.weights[rows])
+    plain = not found.rows.problem.bending  # as the fit to all visits was made
     if reference == "absolute":
-        trained = fit(model, part, study.noise, begin)
+        trained = fit(model, part, study.noise, begin, reweigh=not plain, coarse=plain)
     else:
-        trained = fit_differences(study, model, part, begin)
+        trained = fit_differences(study, model, part, begin, reweigh=not plain, coarse=plain)
     expected = predicted(model, found.rows.problem.parts, trained.state.values)
     placement = trained.state.base_T_measurement
     residual = found.data.positions @ placement[:3, :3].T + placement[:3, 3] - expected

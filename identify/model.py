@@ -409,6 +409,8 @@ def added_columns(
         inputs = larger.effect_inputs[-1]
         return effect.derivative(response.scene, given[inputs])[:, :, own]
     columns = np.zeros((len(response.scene.point), 3, len(own)))
+    if not any(other.yields for other in model.effects):
+        return columns  # no spring to act through
     for column, index in enumerate(len(values) + own):  # one-sided: exact but for the turn of gravity
         nudged = given + _STEP * (np.arange(len(given)) == index)
         columns[:, :, column] = (deflected(larger, experiment, nudged)[1] - response.deflection) / _STEP

@@ -20,7 +20,7 @@ from identify.model import respond
 
 __all__ = ["Curve", "curves"]
 
-_POINTS = 73
+_POINTS, _FINE = 73, 361  # of a curve, of one with short waves
 _POSES = 3  # of the rest of the arm
 _SAME = 0.02  # of the largest turn
 _JOINT = re.compile(r"j(\d+)")
@@ -66,21 +66,22 @@ def _curve(result: Identification, cause: Cause) -> Curve | None:
     names = model.names
     index = np.array([names.index(own.effect.parameters[number].name) for number in own.own])
     values = np.where(model.nuisance, model.nominal, result.values)
-    swept = _sweep(result, joint)
+    points = _FINE if "knots_deg" in own.options else _POINTS
+    swept = _sweep(result, joint, points)
     without = values.copy()
     without[index] = 0.0
     response = respond(model, swept, values)
     moved = response.position - respond(model, swept, without, derivative=False).position
     motion = response.scene.joints.motion[:, joint]
     turn, slopes = _turned(motion, moved[..., None])[:, 0], _turned(motion, response.derivative[:, :, index])
-    by_pose = turn.reshape(-1, _POINTS)
+    by_pose = turn.reshape(-1, points)
     size = np.abs(turn).max()
     beside = np.linalg.norm(moved - motion * turn[:, None], axis=1).max() > _SAME * np.linalg.norm(moved, axis=1).max()
     if beside or np.ptp(by_pose, axis=0).max() > _SAME * size or np.ptp(by_pose[0]) <= _SAME * size:
         return None
-    spread = slopes[:_POINTS] @ result.covariance[np.ix_(index, index)]
-    half = result.quantile * np.sqrt(np.maximum((spread * slopes[:_POINTS]).sum(axis=1), 0.0))
-    return Curve(own.entry, joint, swept.q[:_POINTS, joint], by_pose[0], half)
+    spread = slopes[:points] @ result.covariance[np.ix_(index, index)]
+    half = result.quantile * np.sqrt(np.maximum((spread * slopes[:points]).sum(axis=1), 0.0))
+    return Curve(own.entry, joint, swept.q[:points, joint], by_pose[0], half)
 
 
 def _turned(motion: Floats, moved: Floats) -> Floats:
@@ -90,15 +91,15 @@ def _turned(motion: Floats, moved: Floats) -> Floats:
     return turned
 
 
-def _sweep(result: Identification, joint: int) -> Experiment:
+def _sweep(result: Identification, joint: int, points: int) -> Experiment:
     """One marker read while one joint moves over its measured range: unloaded and with each load, at several poses."""
     measured, far = result.data.experiment, _farthest_marker(result, joint)
     rest = measured.q[np.linspace(0, len(measured.q) - 1, _POSES).round().astype(int)]
-    q = np.repeat(rest, _POINTS, axis=0)
-    q[:, joint] = np.tile(np.linspace(measured.q[:, joint].min(), measured.q[:, joint].max(), _POINTS), _POSES)
+    q = np.repeat(rest, points, axis=0)
+    q[:, joint] = np.tile(np.linspace(measured.q[:, joint].min(), measured.q[:, joint].max(), points), _POSES)
     loads = len(measured.loads)
     q = np.tile(q, (loads, 1))
-    which = np.repeat(np.arange(loads), _POSES * _POINTS)[:, None]
+    which = np.repeat(np.arange(loads), _POSES * points)[:, None]
     full = full_experiment(q, which, measured.loads, measured.markers)
     kept = np.flatnonzero(full.row_marker == far)
     return replace(

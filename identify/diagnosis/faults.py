@@ -59,16 +59,17 @@ def without_rows(data: Measurements, wrong: tuple[Fault, ...]) -> Measurements:
     return data if keep.all() else take_rows(data, np.flatnonzero(keep))
 
 
-def faults(found: Fit, noise: Noise, *, limit: float) -> tuple[Fault, ...]:
+def faults(found: Fit, noise: Noise, *, limit: float, least: float = OUTLYING) -> tuple[Fault, ...]:
     """Faults among the rows of a robust fit.
 
     Args:
         found: A fit in which rows that do not fit have little influence.
         noise: Its noise.
         limit: Robust sigmas from which on a row that no edit mends is an outlier.
+        least: Robust sigmas from which on a row is looked at.
     """
     experiment = found.data.experiment
-    far = found.z > OUTLYING * found.scale
+    far = found.z > least * found.scale
     visits = np.unique(experiment.row_visit[far])
     present = np.unique(experiment.row_visit)
     if not len(visits) or len(visits) > max(_SHARE * len(present), 1):

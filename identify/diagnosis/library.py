@@ -22,8 +22,9 @@ from identify.experiment import Experiment
 from identify.fit import Fit
 from identify.model import Model, Response, added_columns, effects_of, with_effect
 from identify.study import Study
+from identify.units import DEG
 
-__all__ = ["Hypothesis", "Tried", "columns_of", "finer", "hypotheses", "merged_options", "tried"]
+__all__ = ["Hypothesis", "Tried", "columns_of", "detailed", "finer", "hypotheses", "merged_options", "tried"]
 
 _EVERYWHERE = "all"
 _PLACE = re.compile(r"j\d+|j\d+-j\d+|link\d+|base|column|flange|all")
@@ -37,6 +38,10 @@ _SATURATIONS = (0.25, 0.5)  # shares of the largest torque on the joint
 _STEPS = 40  # times at which the instrument may have been knocked
 _WARM_UP_H = (0.5, 1.0, 2.0)
 _SCALED = {"knee_Nm", "knee_N", "saturation_Nm", "saturation_N", "tau_h"}
+_RICH = 1000  # visits from which on free curves are tried
+_APART = 1.5 * DEG  # knots of a free curve, at least
+_VISITS = 10  # between two knots, at least
+_COARSE = 12  # knots: no more of them show less than some harmonics do
 _FINER = (0.5, 0.7, 0.85, 1.2, 1.4, 2.0)  # times the value found so far
 
 
@@ -260,10 +265,28 @@ def _at_torques(word: str, share: float, study: Study, found: Fit) -> Variants:
         yield Variant(tuple(tables), tables)
 
 
-def _orders(study: Study, model: Model, found: Fit) -> Variants:
-    """Errors once or twice a turn, or both."""
+def _gears(study: Study, model: Model, found: Fit) -> Variants:
+    """Errors once or twice a turn, or both; where many poses tell even short waves, also a free curve."""
+    turning = np.flatnonzero(~study.robot.prismatic)
     for orders in ([1.0], [2.0], [1.0, 2.0]):
-        yield Variant(tuple(f"j{joint + 1}" for joint in np.flatnonzero(~study.robot.prismatic)), {"orders": orders})
+        yield Variant(tuple(f"j{joint + 1}" for joint in turning), {"orders": orders})
+    experiment = found.data.experiment
+    for joint in turning if len(np.unique(experiment.row_visit)) >= _RICH else ():
+        knots = _knots(experiment, int(joint))
+        if len(knots) > _COARSE:
+            yield Variant((f"j{joint + 1}",), {"knots_deg": np.round(knots / DEG, 3).tolist()})
+
+
+def _knots(experiment: Experiment, joint: int) -> Floats:
+    """Knots of a free curve, rad: no closer than `_APART`, with enough visits between any two."""
+    _, first = np.unique(experiment.row_visit, return_index=True)
+    ascending = np.sort(experiment.q[experiment.shot_pose[experiment.row_shot[first]], joint])
+    knots, at, last = [ascending[0]], 0, len(ascending) - 1
+    while True:
+        at = max(at + _VISITS, int(np.searchsorted(ascending, knots[-1] + _APART)))
+        if at > last - _VISITS or ascending[last] - ascending[at] < _APART:
+            return np.append(knots, ascending[last]) if ascending[last] - knots[-1] >= _APART else np.array(knots)
+        knots.append(ascending[at])
 
 
 def _steps(study: Study, model: Model, found: Fit) -> Variants:
@@ -309,8 +332,28 @@ _SPECIAL: dict[str, Callable[[Study, Model, Fit], Variants]] = {
     "stiction": _sticking,
     "thermal_growth": _warming,
     "tracker_step": _steps,
-    "transmission_error": _orders,
+    "transmission_error": _gears,
 }
+
+
+def detailed(hypothesis: Hypothesis, study: Study, model: Model, experiment: Experiment) -> Hypothesis:
+    """The same cause with as many knots as the visits of an experiment allow; itself where it has none.
+
+    Args:
+        hypothesis: The cause.
+        study: The study with the cause in its model.
+        model: Its model.
+        experiment: The conditions.
+    """
+    if "knots_deg" not in hypothesis.options or hypothesis.where is None:
+        return hypothesis
+    knots = _knots(experiment, int(hypothesis.where[1:]) - 1)
+    options = {"knots_deg": np.round(knots / DEG, 3).tolist()}
+    others = {place: table for place, table in study.options[hypothesis.name].items() if place != hypothesis.where}
+    study = replace(study, options={**study.options, hypothesis.name: others})
+    effect = _bound(study, model, hypothesis.name, (hypothesis.where,), options)
+    every = np.arange(len(effect.parameters))
+    return replace(hypothesis, options=MappingProxyType(options), effect=effect, own=frozen(every, np.int64))
 
 
 def finer(hypothesis: Hypothesis, study: Study, found: Fit) -> tuple[Hypothesis, ...]:

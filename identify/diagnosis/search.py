@@ -14,27 +14,32 @@ from types import MappingProxyType
 
 import numpy as np
 
+from identify.arrays import Floats, Ints
 from identify.diagnosis.evidence import Evidence, evidence
 from identify.diagnosis.gates import LEVELS, Gate, family_probabilities
-from identify.diagnosis.library import Hypothesis, finer, hypotheses, merged_options, tried
+from identify.diagnosis.library import Hypothesis, detailed, finer, hypotheses, merged_options, tried
 from identify.diagnosis.spread import noise_found, scaled, wider
 from identify.errors import NoConvergence
 from identify.experiment import Measurements
 from identify.fit import Fit, State, fit, start
 from identify.identification import fit_differences
 from identify.model import Model, model_of
+from identify.selection import take_rows
 from identify.study import Study
 from identify.tails import chi2_sf
 from identify.uncertainty import stated_covariance
 
-__all__ = ["Cause", "Search", "carried", "fitted", "search", "with_causes", "with_noise_found", "with_rivals"]
+__all__ = ["MANY", "Cause", "Search", "carried", "fitted", "search", "with_causes", "with_noise_found", "with_rivals"]
 
+MANY = 3000  # visits: so many choose as well as more would
 _MOST = 8  # causes
 _SHORTLIST = 16  # blocks whose leave-out error is computed
 _STILL = 1e-3  # a cause that is significant at this level beside a rival drives it out
-_WORTH = 0.01  # share of the chi-square that a cause must take off where the covariance is not trusted
+_WORTH = 0.01  # share of the squared error that a cause must take off where the covariance is not trusted
+_WORTH_BESIDE = 0.02  # the same beside free curves
 _SURE = 2.0  # standard deviations by which a size must exceed what is possible before it is refused
 _BEYOND = 10.0  # times what is plausible: a larger size is no explanation
+_CURVE = 2.0  # times what is plausible: a larger free curve is no explanation
 _NEAR = 0.7  # of a cause's score, from which on a rival's options are searched more finely
 #: Curves that can imitate nearly anything once they may be large: beyond what is plausible they are no explanation.
 _STRICT = ("transmission_error", "approach_hysteresis", "joint_windup")
@@ -47,11 +52,13 @@ class Cause:
     Attributes:
         hypothesis: Its effect, place and options.
         p_value: Family-wise probability of its score at the step where it entered.
+        left: Squared leave-one-visit-out error with it, as a share of the one without it, at the same step.
         rivals: Other hypotheses that explain the same.
     """
 
     hypothesis: Hypothesis
     p_value: float
+    left: float = 1.0
     rivals: tuple[Hypothesis, ...] = ()
 
 
@@ -66,6 +73,7 @@ class Search:
         last: The fit of the extended model.
         causes: In the order in which they entered.
         gate: What decided about significance.
+        chosen: The same on the visits that chose the causes, where those were not all.
     """
 
     study: Study
@@ -74,17 +82,19 @@ class Search:
     last: Fit
     causes: tuple[Cause, ...]
     gate: Gate
+    chosen: Search | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Rules:
-    """What stays the same during a search."""
+    """What stays the same during a search; ``few`` of many visits make anything significant, so that worth decides."""
 
     data: Measurements
     gate: Gate
     differences: bool
     without: frozenset[str]
     rng: np.random.Generator
+    few: bool = False
 
 
 def with_causes(study: Study, causes: tuple[Hypothesis, ...]) -> Study:
@@ -149,38 +159,90 @@ def search(
         begin: A fit of the study's model, if there is one.
         rivals: Also look for hypotheses that explain the same as a cause.
     """
-    rules = _Rules(data, gate, differences, without, rng)
     first = begin or fitted(study, data, differences=differences)
-    found: Fit = first
+    visits = np.unique(data.experiment.row_visit)
+    if len(visits) <= MANY:
+        done = _chosen(_Rules(data, gate, differences, without, rng), study, first)
+    else:
+        some = take_rows(data, np.flatnonzero(np.isin(data.experiment.row_visit, rng.permutation(visits)[:MANY])))
+        begin = fitted(study, some, differences=differences, begin=first)
+        done = _on_all(_chosen(_Rules(some, gate, differences, without, rng, few=True), study, begin), first)
+    return with_rivals(done, without) if rivals else done
+
+
+def _chosen(rules: _Rules, study: Study, first: Fit) -> Search:
+    """The causes that some rows show, one after another."""
+    found, wider = first, with_noise_found(study, first, rules.gate)
     causes: tuple[Cause, ...] = ()
     refused: set[str] = set()
     while len(causes) < _MOST:
-        entered, sizes = _next(rules, with_causes(study, _named(causes)), found, refused)
+        share = float(np.prod([cause.left for cause in causes])) if rules.few else 1.0
+        entered, sizes = _next(rules, *wider, refused, share)
         if entered is None:
             break
         larger = (*causes, entered)
         try:
-            wider = fitted(with_causes(study, _named(larger)), data, differences=differences, begin=found, sizes=sizes)
+            found, wider = _both(rules, study, larger, found, sizes)
         except NoConvergence:
             refused.add(entered.hypothesis.entry)  # what cannot be fitted explains nothing
             continue
-        causes, found = _pruned(rules, study, larger, wider)
-    done = Search(with_causes(study, _named(causes)), study, first, found, causes, gate)
-    return with_rivals(done, without) if rivals else done
+        causes = _needed(wider[1], larger)
+        if len(causes) < len(larger):
+            found, wider = _both(rules, study, causes, found)
+    return Search(with_causes(study, _named(causes)), study, first, found, causes, rules.gate)
+
+
+def _on_all(chosen: Search, first: Fit) -> Search:
+    """The causes that some visits chose, as detailed as all visits allow and fitted to all of them."""
+    data, differences = first.data, first.whitening.cancels
+    known = _named(chosen.causes)
+    model = chosen.last.model
+    full = tuple(detailed(own, chosen.study, model, data.experiment) for own in known)
+    causes = tuple(replace(cause, hypothesis=own) for cause, own in zip(chosen.causes, full, strict=True))
+    same = full == known
+    study = with_causes(chosen.base, _named(causes))
+    last = fitted(study, data, differences=differences, begin=chosen.last if same else first) if causes else first
+    return Search(study, chosen.base, first, last, causes, chosen.gate, chosen)
 
 
 def with_rivals(done: Search, without: frozenset[str] = frozenset()) -> Search:
     """The same search with the hypotheses that explain the same as each cause."""
-    return replace(done, causes=tuple(_with_rivals(done, number, without) for number in range(len(done.causes))))
+    if done.chosen is None:
+        return replace(done, causes=tuple(_with_rivals(done, number, without) for number in range(len(done.causes))))
+    chosen = with_rivals(done.chosen, without)
+    causes = (replace(own, rivals=few.rivals) for own, few in zip(done.causes, chosen.causes, strict=True))
+    return replace(done, causes=tuple(causes), chosen=chosen)
 
 
 def _named(causes: tuple[Cause, ...]) -> tuple[Hypothesis, ...]:
     return tuple(cause.hypothesis for cause in causes)
 
 
-def _next(rules: _Rules, study: Study, found: Fit, refused: Set[str]) -> tuple[Cause | None, Mapping[str, float]]:
-    """The cause that enters next, None if no block passes; and where a nonlinear one starts."""
-    study, found = with_noise_found(study, found, rules.gate)
+def _both(
+    rules: _Rules,
+    study: Study,
+    causes: tuple[Cause, ...],
+    begin: Fit,
+    sizes: Mapping[str, float] = MappingProxyType({}),
+) -> tuple[Fit, tuple[Study, Fit]]:
+    """The fit with some causes, and the same with the noise as found."""
+    larger = with_causes(study, _named(causes))
+    found = fitted(larger, rules.data, differences=rules.differences, begin=begin, sizes=sizes)
+    return found, with_noise_found(larger, found, rules.gate)
+
+
+def _next(
+    rules: _Rules, study: Study, found: Fit, refused: Set[str], share: float
+) -> tuple[Cause | None, Mapping[str, float]]:
+    """The cause that enters next, None if no block passes or the best is worth too little; and where one starts.
+
+    Args:
+        rules: What stays the same.
+        study: The study with the causes found so far, with the noise as found.
+        found: Its fit.
+        refused: Entries that are not tried again.
+        share: What the error is worth: 1, or its square as a share of that of the model as it was.
+    """
     every = hypotheses(study, found.model, found, without=rules.without)
     asked = tuple(hypothesis for hypothesis in every if hypothesis.entry not in refused)
     seen = evidence(found, tried(found, asked))
@@ -194,12 +256,32 @@ def _next(rules: _Rules, study: Study, found: Fit, refused: Set[str]) -> tuple[C
     shortlist = passed[order][:_SHORTLIST]
     errors = [seen.left_out(int(block)) for block in shortlist]
     best = int(shortlist[int(np.argmin(errors))])
-    if rules.gate == "flip" and min(errors) > (1 - _WORTH) * seen.left_out():
+    shares = np.array(errors) / seen.left_out()
+    left, least = float(shares.min()), _WORTH
+    if rules.few:
+        best, left, least = _worthiest(asked, shortlist, shares, share)
+    if rules.gate == "flip" and (1 - left) * share < least:
         return None, {}
     chosen = _polished(rules, study, found, asked[best], seen.score(best).value)
     names = [chosen.effect.parameters[index].name for index in chosen.own]
     sizes = dict(zip(names, seen.sizes(best)[0].tolist(), strict=True)) if chosen.chord else {}
-    return Cause(chosen, float(probability[best])), sizes
+    return Cause(chosen, float(probability[best]), left), sizes
+
+
+def _worthiest(
+    asked: tuple[Hypothesis, ...], shortlist: Ints, shares: Floats, share: float
+) -> tuple[int, float, float]:
+    """The block to name where visits are many, the share of the squared error that it leaves, and what it must take.
+
+    A spring under self-weight imitates the smooth part of curves that the model does not hold yet. So free curves come
+    first as long as they are worth a name, and what enters beside them must be worth more.
+    """
+    is_curve = np.array(["knots_deg" in asked[int(block)].options for block in shortlist])
+    curve = int(np.argmin(np.where(is_curve, shares, np.inf)))
+    if is_curve[curve] and (1 - shares[curve]) * share >= _WORTH:
+        return int(shortlist[curve]), float(shares[curve]), _WORTH
+    best = int(np.argmin(shares))
+    return int(shortlist[best]), float(shares[best]), _WORTH_BESIDE
 
 
 def with_noise_found(study: Study, found: Fit, gate: Gate) -> tuple[Study, Fit]:
@@ -213,9 +295,22 @@ def with_noise_found(study: Study, found: Fit, gate: Gate) -> tuple[Study, Fit]:
 def _is_plausible(seen: Evidence, block: int, hypothesis: Hypothesis) -> bool:
     """False if a size is surely beyond what its effect can be."""
     size, spread = seen.sizes(block)
+    if "knots_deg" in hypothesis.options:
+        return _is_plausible_curve(size, spread, hypothesis)
     beyond = 1.0 if hypothesis.name in _STRICT else _BEYOND
     room = beyond * hypothesis.plausible + _SURE * np.where(np.isfinite(spread), spread, 0.0)
     return bool((np.abs(size) <= room).all())
+
+
+def _is_plausible_curve(size: Floats, spread: Floats, hypothesis: Hypothesis) -> bool:
+    """False if the rms of a free curve, less what chance adds to it, is surely beyond what its effect can be.
+
+    As long as its neighbours are not in the model, a curve also takes up what they will take back. Its level is an
+    offset of the joint and does not count; a knot alone, with few visits near it, says little.
+    """
+    about = size - np.append(size, 0.0).mean()
+    chance = np.where(np.isfinite(spread), spread, 0.0)
+    return bool((about**2).mean() - (chance**2).mean() <= ((_CURVE * hypothesis.plausible) ** 2).mean())
 
 
 def _polished(rules: _Rules, study: Study, found: Fit, chosen: Hypothesis, score: float) -> Hypothesis:
@@ -229,14 +324,12 @@ def _polished(rules: _Rules, study: Study, found: Fit, chosen: Hypothesis, score
     return others[best] if scores[best] > score else chosen
 
 
-def _pruned(rules: _Rules, study: Study, causes: tuple[Cause, ...], found: Fit) -> tuple[tuple[Cause, ...], Fit]:
-    """Leave out the weakest cause, if the others have made it superfluous."""
-    _, wider = with_noise_found(with_causes(study, _named(causes)), found, rules.gate)
+def _needed(wider: Fit, causes: tuple[Cause, ...]) -> tuple[Cause, ...]:
+    """The causes without the weakest, if the others have made it superfluous; the fit has the noise as found."""
     weakest = max(range(len(causes)), key=lambda number: _worth(wider, causes[number].hypothesis))
     if weakest == len(causes) - 1 or _worth(wider, causes[weakest].hypothesis) <= _STILL:
-        return causes, found
-    rest = causes[:weakest] + causes[weakest + 1 :]
-    return rest, fitted(with_causes(study, _named(rest)), rules.data, differences=rules.differences, begin=found)
+        return causes
+    return causes[:weakest] + causes[weakest + 1 :]
 
 
 def _worth(found: Fit, cause: Hypothesis) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
@@ -12,10 +13,10 @@ from identify.diagnosis.copies import without_copies
 from identify.diagnosis.evidence import evidence
 from identify.diagnosis.faults import Fault, faults, without_rows
 from identify.diagnosis.gain import Gain, gain
-from identify.diagnosis.gates import family_probabilities, holm_probabilities
+from identify.diagnosis.gates import Gate, family_probabilities, holm_probabilities
 from identify.diagnosis.replicate_noise import ReplicateNoise, replicate_noise
 from identify.diagnosis.scatter import uneven
-from identify.diagnosis.search import Cause, Search, fitted, search, with_noise_found, with_rivals
+from identify.diagnosis.search import MANY, Cause, Search, fitted, search, with_noise_found, with_rivals
 from identify.diagnosis.spread import NoiseFound, RangeNoise, louder_than_stated, noise_found, range_noise, scaled
 from identify.diagnosis.structure import patterns
 from identify.errors import NotIdentifiable
@@ -150,7 +151,7 @@ def diagnose(study: Study, data: Measurements, *, seed: int = 0, without: frozen
         wrong = faults(_robust(study, data, rules), study.noise, limit=_FIRST)
         concluded = _concluded(study, without_rows(data, wrong), rules)
         for _ in range(_ROUNDS):
-            again = faults(_robust(concluded.search.study, data, rules), study.noise, limit=_LATER)
+            again = _faults_beside(concluded.search, study, data, rules)
             if _rows(again) == _rows(wrong):
                 break
             wrong = again
@@ -212,6 +213,23 @@ def _robust(study: Study, data: Measurements, rules: _Rules) -> Fit:
     return fit(model, data, study.noise, start(model, data))
 
 
+def _faults_beside(done: Search, study: Study, data: Measurements, rules: _Rules) -> tuple[Fault, ...]:
+    """Faults among all rows, seen with the causes in the model.
+
+    One of many visits bends no fit, so that none has to be robust. What such a fit leaves beyond the stated noise is
+    mostly the model's, with tails of its own; so only what is far beyond them is looked at.
+    """
+    if not _many(data):
+        return faults(_robust(done.study, data, rules), study.noise, limit=_LATER)
+    every = fitted(done.study, data, differences=rules.differences, begin=done.last)
+    return faults(every, study.noise, limit=_FIRST, least=_FIRST)
+
+
+def _many(data: Measurements) -> bool:
+    """True if some of the visits choose as well as all of them."""
+    return len(np.unique(data.experiment.row_visit)) > MANY
+
+
 def _rows(wrong: tuple[Fault, ...]) -> list[int]:
     """Rows of faults, ascending."""
     return sorted({int(row) for fault in wrong for row in fault.rows})
@@ -240,16 +258,20 @@ def _with_replicates(study: Study, clean: Measurements, rules: _Rules) -> tuple[
 def _searched(study: Study, clean: Measurements, rules: _Rules) -> _Conclusion:
     """A search with the gate that the data allow, and what it leaves."""
     search_by = partial(search, study, clean, differences=rules.differences, rng=rules.rng(), without=rules.without)
-    trusting = search_by(gate="holm", rivals=False)
-    lack = lack_of_fit(trusting.last, np.zeros(0, dtype=np.int64))
-    trusted = min(lack.p_value, louder_than_stated(trusting.last, study.noise)) >= _REJECTED
-    done = with_rivals(trusting, rules.without) if trusted else search_by(gate="flip", begin=trusting.first)
-    return _Conclusion(done, _remainder(done, lack_of_fit(done.last, np.zeros(0, dtype=np.int64)), rules))
+    gates: tuple[Gate, Gate] = ("flip", "holm") if _many(clean) else ("holm", "flip")
+    done = search_by(gate=gates[0], rivals=False)
+    lack = lack_of_fit(done.last, np.zeros(0, dtype=np.int64))
+    trusted = min(lack.p_value, louder_than_stated(done.last, study.noise)) >= _REJECTED
+    if trusted != (gates[0] == "holm"):
+        done = search_by(gate=gates[1], rivals=False, begin=done.first)
+        lack = lack_of_fit(done.last, np.zeros(0, dtype=np.int64))
+    return _Conclusion(done, _remainder(done, lack, rules))
 
 
 def _remainder(done: Search, lack: LackOfFit, rules: _Rules) -> Remainder:
     """Is there structure that no named cause holds?"""
-    _, found = with_noise_found(done.study, done.last, done.gate)
+    few = done.chosen or done
+    _, found = with_noise_found(few.study, few.last, few.gate)
     unnamed = patterns(found)
     seen = evidence(found, unnamed)
     smooth = family_probabilities(seen, done.gate, rules.rng(), np.ones(len(unnamed), dtype=bool))
@@ -277,21 +299,27 @@ def _result(
     """Everything about a conclusion."""
     done = concluded.search
     first = lack_of_fit(done.first, np.zeros(0, dtype=np.int64))
-    named = bool(done.causes or wrong or concluded.range_noise)
     base = replace(study, noise=done.study.noise)
+    judged = partial(gain, base, done, differences=rules.differences, rng=rules.rng(), without=rules.without)
+    named = bool(done.causes or wrong or concluded.range_noise)
+    with ThreadPoolExecutor(1) as beside:  # the two halves of the rest do not need each other
+        gained = beside.submit(judged) if named else None
+        done = with_rivals(done, rules.without)
+        known = done.last if _many(data) and not wrong else None
+        identification = identify(done.study, data, seed=rules.seed, found=known)
     return Diagnosis(
         study=study,
         data=data,
         clean=done.last.data,
-        verdict=_verdict(concluded, first, wrong),
+        verdict=_verdict(replace(concluded, search=done), first, wrong),
         search=done,
         faults=wrong,
         range_noise=concluded.range_noise,
         remainder=concluded.remainder,
         first_lack=first,
         noise=_against_stated(noise_found(done.last, done.study.noise), concluded.replicates),
-        gain=gain(base, done, differences=rules.differences, rng=rules.rng(), without=rules.without) if named else None,
-        identification=identify(done.study, data, seed=rules.seed),
+        gain=gained.result() if gained else None,
+        identification=identification,
         notes=(*notes, *_notes(done, concluded.replicates)),
     )
 

@@ -28,7 +28,8 @@ from identify.units import SI_OF
 
 __all__ = ["geometry"]
 
-LIMIT = 5.0  # mrad and mm: ten times a usual error; knowing it worse than this says nothing and bends the fit
+LIMIT = 1.0  # mrad and mm: twice a usual error; knowing it worse than this says nothing and bends the fit
+PLAUSIBLE = 5.0  # mrad and mm: ten times a usual error
 PARALLEL = 0.1  # axes closer than this angle (rad) take beta instead of d
 _STEPS = ("tx", "ty", "tz", "rx", "ry", "rz")  # order of the elementary displacements
 _FULL = {"tx": "x", "ty": "y", "tz": "d", "rx": "rx", "ry": "ry", "rz": "offset"}
@@ -121,7 +122,7 @@ def _parameter(robot: Robot, slot: _Slot, step: str) -> Parameter:
     place = f"j{slot.frame + 1}" if slot.frame < robot.n else "flange"
     unit = "mm" if step[0] == "t" else "mrad"
     return Parameter(
-        f"geometry.{place}.{slot.names[step]}", unit, SI_OF[unit], limit=LIMIT, plausible=LIMIT, typical=0.5
+        f"geometry.{place}.{slot.names[step]}", unit, SI_OF[unit], limit=LIMIT, plausible=PLAUSIBLE, typical=0.5
     )
 
 

@@ -7,7 +7,7 @@ They act alike in loaded and unloaded readings of one visit, so changes between 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from typing import Any
 
@@ -28,6 +28,7 @@ _ORDERS = (1.0, 2.0)
 _WAVES = ("sin", "cos")
 _UNLIMITED = 2 * np.pi  # a joint without known limits turns this far to both sides
 _SPACING = (0.05, 180.0)  # deg
+_SHOWN = 8  # knots in a message
 _WRIST = 6  # arms of so many joints have a wrist of the last three
 
 
@@ -40,12 +41,14 @@ class _Curve:
         components: (k,) names of the functions.
         zeros: (k,) where each of them is zero, in words.
         shares: ``q (C,) -> (C, k)`` the functions, rad to 1.
+        error: ``q (C,), sizes (k,) -> (C,)`` their sum, which needs no table of all of them.
     """
 
     joint: int
     components: tuple[str, ...]
     zeros: tuple[str, ...]
     shares: Callable[[Floats], Floats]
+    error: Callable[[Floats, Floats], Floats]
 
 
 _GEARS, _SMALL_GEARS = 350.0, 1000.0  # urad, largest plausible transmission error of heavy and of small arms
@@ -56,15 +59,16 @@ def transmission_error(binding: Binding) -> Effect:
     """Error of the gears over a turn of the joint: ``D_j e_j(q_j)``.
 
     Harmonics, ``e = sum_m s_m sin(m q) + c_m cos(m q)`` with m cycles a turn of the joint: parameters
-    ``transmission_error.j<i>.s<m>, .c<m>``, urad. Or a free curve, linear between knots at equal distances from the
-    lower limit of the joint on (-360 to 360 deg where a limit is unknown) and constant beyond: parameters
-    ``transmission_error.j<i>.k<index>``, urad, the error at each knot, counted from 0. Its mean would be an offset of
-    the joint, which belongs to `geometry` (and to frame and markers for the outer joints); so the knot in the middle
-    of the range is held at zero and has no parameter. Typical: 50 to 300 urad of one and two cycles a turn
+    ``transmission_error.j<i>.s<m>, .c<m>``, urad. Or a free curve, linear between knots and constant beyond, at equal
+    distances from the lower limit of the joint on (-360 to 360 deg where a limit is unknown) or at stated values:
+    parameters ``transmission_error.j<i>.k<index>``, urad, the error at each knot, counted from 0. Its mean would be an
+    offset of the joint, which belongs to `geometry` (and to frame and markers for the outer joints); so the middle
+    one of the knots is held at zero and has no parameter. Typical: 50 to 300 urad of one and two cycles a turn
     (eccentricity); plausible up to 350 urad, of arms that carry no more than 20 kg (strain wave gears) up to 1000 urad.
 
     Options: ``orders = [1, 2]`` (default; any positive numbers, 101 for a gear of that ratio), ``knots_deg = 2.0``
-    (distance of the knots); both together add up. A table ``[model.transmission_error.j3]`` replaces both for a joint.
+    (distance of the knots) or ``knots_deg = [-90, -60, 0]`` (the knots, ascending); both together add up. A table
+    ``[model.transmission_error.j3]`` replaces both for a joint.
 
     Args:
         binding: Robot, places ``j1 ... jn`` (joints that turn; all of them by default) and options.
@@ -89,11 +93,20 @@ def transmission_error(binding: Binding) -> Effect:
         return np.asarray(by_pose[scene.row_pose])
 
     zeros = [zero for curve in curves for zero in curve.zeros]
+    scale = np.array([parameter.scale for parameter in parameters])
+    ends = np.cumsum([len(curve.components) for curve in curves])[:-1]
+
+    def displacement(scene: Scene, values: Floats) -> Floats:
+        q, motion, sizes = scene.experiment.q, scene.joints.motion, np.split(scale * values, ends)
+        moved = np.zeros_like(scene.point)
+        for curve, own in zip(curves, sizes, strict=True):
+            moved += motion[:, curve.joint] * curve.error(q[:, curve.joint], own)[scene.row_pose, None]
+        return moved
 
     def why_zero(parameter: int) -> str:
         return f"{zeros[parameter]}, no marker moves with this joint, {HIDDEN}"
 
-    return turning_effect(name, parameters, joint, shares, why_zero)
+    return replace(turning_effect(name, parameters, joint, shares, why_zero), displacement=displacement)
 
 
 def wrist_coupling(binding: Binding) -> Effect:
@@ -186,17 +199,25 @@ def _curve(robot: Robot, joint: int, options: Mapping[str, Any]) -> _Curve:
     knots = _knots(robot, joint, options["knots_deg"]) if "knots_deg" in options else np.zeros(1)
     free = np.delete(np.arange(len(knots)), (len(knots) - 1) // 2)
 
-    def shares(q: Floats) -> Floats:
+    def harmonics(q: Floats) -> Floats:
         phase = np.outer(q, orders)
-        parts = np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), -1)
-        return np.hstack([parts, _hats(knots, q)[:, free]]) if len(free) else parts
+        return np.stack([np.sin(phase), np.cos(phase)], axis=2).reshape(len(q), -1)
+
+    def shares(q: Floats) -> Floats:
+        return np.hstack([harmonics(q), _hats(knots, q)[:, free]]) if len(free) else harmonics(q)
+
+    def error(q: Floats, sizes: Floats) -> Floats:
+        at_knots = np.zeros(len(knots))
+        at_knots[free] = sizes[len(waves) :]
+        summed: Floats = harmonics(q) @ sizes[: len(waves)] + np.interp(q, knots, at_knots)
+        return summed
 
     names = (*waves, *(f"k{index}" for index in free))
     at_zero = [
         f"{wave}({order:.12g} q{joint + 1}) is zero in every pose of these data" for order in orders for wave in _WAVES
     ]
     nowhere = (f"no pose of these data has joint {joint + 1} near {knot:.4g} deg" for knot in knots[free] / DEG)
-    return _Curve(joint, names, (*at_zero, *nowhere), shares)
+    return _Curve(joint, names, (*at_zero, *nowhere), shares, error)
 
 
 def _orders(options: Mapping[str, Any]) -> tuple[float, ...]:
@@ -215,28 +236,55 @@ def _orders(options: Mapping[str, Any]) -> tuple[float, ...]:
     return tuple(float(m) for m in given)
 
 
-def _knots(robot: Robot, joint: int, spacing: object) -> Floats:
-    """Knots over the range of a joint, rad.
+def _knots(robot: Robot, joint: int, given: object) -> Floats:
+    """Knots of a joint, ascending, rad: the stated ones, or equal distances over its range.
 
     Raises:
-        InputError: The distance is no number, or out of all proportion.
+        InputError: No ascending numbers, no number, or a distance out of all proportion.
     """
     least, most = _SPACING
-    if not is_number(spacing) or not least <= float(spacing) <= most:  # type: ignore[arg-type]
+    if isinstance(given, list | tuple):
+        return _stated_knots(given)
+    if not is_number(given) or not least <= float(given) <= most:  # type: ignore[arg-type]
         raise InputError(
-            f"[model.transmission_error] knots_deg = {spacing!r}: a distance of {least:g} to {most:g} deg expected"
+            f"[model.transmission_error] knots_deg = {given!r}: a distance of {least:g} to {most:g} deg, or a list of "
+            "ascending joint values, expected"
         )
-    step = float(spacing) * DEG  # type: ignore[arg-type]
+    step = float(given) * DEG  # type: ignore[arg-type]
     limits = robot.lower[joint], robot.upper[joint]
     lower, upper = limits if np.isfinite(limits).all() else (-_UNLIMITED, _UNLIMITED)
     count = max(int(np.ceil((upper - lower) / step - 1e-9)), 1)
     return np.asarray(lower + step * np.arange(count + 1), dtype=np.float64)
 
 
+def _stated_knots(given: list[Any] | tuple[Any, ...]) -> Floats:
+    """Knots at stated joint values, rad.
+
+    Raises:
+        InputError: Fewer than two, or not ascending by the smallest distance that knots may have.
+    """
+    numbers = all(is_number(value) and np.isfinite(float(value)) for value in given)
+    knots = np.array([float(value) for value in given] if numbers else [], dtype=np.float64)
+    if len(knots) < 2 or np.diff(knots).min() < _SPACING[0] - 1e-9:
+        raise InputError(
+            f"[model.transmission_error] knots_deg = {_shortened(given)}: two or more joint values expected, ascending "
+            f"by at least {_SPACING[0]:g} deg, for example [-90, -60, 0]"
+        )
+    return knots * DEG
+
+
+def _shortened(given: list[Any] | tuple[Any, ...]) -> str:
+    """A list as text, long ones without their middle."""
+    return repr(list(given)) if len(given) <= _SHOWN else f"[{given[0]!r}, {given[1]!r}, ..., {given[-1]!r}]"
+
+
 def _hats(knots: Floats, q: Floats) -> Floats:
     """(C, k) functions that are 1 at one knot, 0 at the others and linear between; their sum is 1 everywhere."""
-    place = np.clip((q - knots[0]) / (knots[1] - knots[0]), 0.0, len(knots) - 1.0)
-    return np.asarray(np.maximum(1.0 - np.abs(place[:, None] - np.arange(len(knots))), 0.0))
+    left = np.clip(np.searchsorted(knots, q, side="right") - 1, 0, len(knots) - 2)
+    share = np.clip((q - knots[left]) / (knots[left + 1] - knots[left]), 0.0, 1.0)
+    hats, row = np.zeros((len(q), len(knots))), np.arange(len(q))
+    hats[row, left], hats[row, left + 1] = 1.0 - share, share
+    return hats
 
 
 def _pairs(name: str, robot: Robot, where: tuple[str, ...]) -> list[tuple[int, int]]:

@@ -111,6 +111,20 @@ def test_the_free_curve_is_linear_between_its_knots_and_zero_at_the_middle_one()
     np.testing.assert_allclose(moved, turned(robot, q, error), atol=1e-12)
 
 
+def test_the_knots_may_be_stated_and_the_curve_is_constant_beyond_them():
+    robot, knots = load_robot("kr270_r2700"), [-60, -10.5, 0.0, 40.0]
+    effect = effect_of(robot, "transmission_error@j3", knots_deg=knots)
+    assert names_of(effect) == [f"transmission_error.j3.k{i}" for i in (0, 2, 3)]
+    angles = np.array([-90.0, -60.0, -30.0, -5.0, 0.0, 13.0, 40.0, 100.0])
+    q = np.zeros((len(angles), 6))
+    q[:, 2] = np.deg2rad(angles)
+    error = np.zeros_like(q)
+    error[:, 2] = 1e-6 * np.interp(angles, knots, [100.0, 0.0, -70.0, 250.0])
+    values, scene = np.array([100.0, -70.0, 250.0]), scene_of(robot, q)
+    np.testing.assert_allclose(effect.displacement(scene, values), turned(robot, q, error), atol=1e-12)
+    np.testing.assert_allclose(effect.derivative(scene, values) @ values, turned(robot, q, error), atol=1e-12)
+
+
 def test_knots_span_the_limits_and_two_turns_where_there_are_none():
     robot = load_robot("kr270_r2700")
     assert len(effect_of(robot, "transmission_error@j1", knots_deg=2.0).parameters) == 185  # -185 to 185 deg
@@ -202,6 +216,9 @@ def test_what_the_data_cannot_show_is_listed_with_the_reason():
         ("transmission_error", {"orders": [0]}, "positive"),
         ("transmission_error", {"knots_deg": "2"}, "knots_deg = '2': a distance of 0.05 to 180 deg"),
         ("transmission_error", {"knots_deg": 0.001}, "knots_deg = 0.001"),
+        ("transmission_error", {"knots_deg": [10.0]}, "two or more joint values expected"),
+        ("transmission_error", {"knots_deg": [10.0, 5.0]}, "ascending"),
+        ("transmission_error", {"knots_deg": [10.0, "20"]}, "two or more joint values expected"),
         ("transmission_error", {"j2": 3}, "j2 = 3: a table"),
         ("transmission_error", {"j2": {"step": 3}}, r"\[model.transmission_error.j2\] step: unknown key"),
         ("wrist_coupling@j5-j4", {}, "wrist_coupling@j5-j4: no such place; a pair of joints"),

@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 
 from identify.config import load_study
+from identify.diagnosis import diagnose
+from identify.fit import fit, start
 from identify.identification import heldout_misfit, identify
 from identify.kinematics import forward
+from identify.model import model_of
+from identify.selection import take_rows
 from identify.tables import load_measurements
 from tests.identify.spoiling import POSITION, Table, spoil
 from tests.identify.studies import ROOT
@@ -103,3 +107,53 @@ def test_one_per_cent_of_spoilt_rows_is_listed_and_does_no_harm(series, seed, tm
     errors = [heldout_misfit(study, r.fit, "absolute", judged, good).rms for r in (clean, result)]
     assert errors[1] == pytest.approx(errors[0], rel=0.03)
     assert result.heldout.misfit.rms == pytest.approx(clean.heldout.misfit.rms, rel=0.1)
+
+
+@pytest.fixture(scope="module")
+def diagnosed(tmp_path_factory):
+    table, study = table_of("a"), study_of("a")
+    return diagnose(study, load_measurements(table.write(tmp_path_factory.mktemp("diagnosed") / "a.csv"), study))
+
+
+def test_errors_of_the_gears_are_found_to_dominate_what_geometry_leaves(diagnosed):
+    names = [cause.hypothesis.entry for cause in diagnosed.causes]
+    assert set(names[:3]) == {f"transmission_error@j{joint}" for joint in (1, 2, 3)}
+    assert {f"transmission_error@j{joint}" for joint in (4, 5)} <= set(names)
+    assert diagnosed.verdict == "cause_found"
+    assert not diagnosed.faults
+
+
+def test_the_curves_of_the_gears_predict_heldout_poses_five_times_better(diagnosed):
+    gain = diagnosed.gain
+    assert gain.before * 1e3 == pytest.approx(0.44, abs=0.02)
+    assert gain.after * 1e3 <= 0.095
+    assert gain.significant
+
+
+def test_the_gears_found_on_one_series_predict_another_a_year_later(diagnosed, tmp_path):
+    other = study_of("d")
+    data = load_measurements(table_of("d").write(tmp_path / "d.csv"), other)
+    covered = take_rows(data, np.flatnonzero(near(data, diagnosed.data)))
+    found = diagnosed.extended_study
+    own = diagnosed.identification.parameters
+    errors = []
+    for effects in (("geometry",), found.effects):
+        study = replace(other, effects=effects, options=found.options)
+        known = model_of(study, nominal={})
+        model = model_of(study, nominal={name: value for name, value in own.items() if name in known.names})
+        placed = fit(model, covered, study.noise, start(model, covered), fitted=model.nuisance)
+        errors.append(1e3 * np.sqrt((placed.residual**2).sum(axis=1).mean()))
+    assert len(covered.positions) > 100
+    assert errors[1] <= 0.17
+    assert errors[1] < 0.35 * errors[0]
+
+
+def near(data, learnt):
+    """(R,) True where ten or more learnt poses lie within 2 deg of every joint angle but the last, by joint."""
+    inside = np.ones(len(data.positions), dtype=bool)
+    for joint in range(5):
+        angles = np.sort(learnt.experiment.q[:, joint])
+        q = data.experiment.q[data.experiment.shot_pose[data.experiment.row_shot], joint]
+        ends = np.searchsorted(angles, q + np.deg2rad([[2.0], [-2.0]]))
+        inside &= ends[0] - ends[1] >= 10
+    return inside
