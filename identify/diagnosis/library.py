@@ -17,6 +17,7 @@ import numpy as np
 
 from identify.arrays import Floats, Ints, frozen
 from identify.effects import REGISTRY, Effect
+from identify.effects.joint_errors import usual_pairs
 from identify.effects.joint_turns import axis_compliance
 from identify.experiment import Experiment
 from identify.fit import Fit
@@ -261,8 +262,15 @@ def _at_torques(word: str, share: float, study: Study, found: Fit) -> Variants:
 
 def _orders(study: Study, model: Model, found: Fit) -> Variants:
     """Errors once or twice a turn, or both."""
-    for orders in ([1.0], [2.0], [1.0, 2.0]):
-        yield Variant(tuple(f"j{joint + 1}" for joint in np.flatnonzero(~study.robot.prismatic)), {"orders": orders})
+    places = tuple(f"j{joint + 1}" for joint in np.flatnonzero(~study.robot.prismatic))
+    for orders in ([1.0], [2.0], [1.0, 2.0]) if places else ():
+        yield Variant(places, {"orders": orders})
+
+
+def _geared(study: Study, model: Model, found: Fit) -> Variants:
+    """Turning joints that may be geared together, if there are any."""
+    if usual_pairs(study.robot):
+        yield Variant()
 
 
 def _steps(study: Study, model: Model, found: Fit) -> Variants:
@@ -309,6 +317,7 @@ _SPECIAL: dict[str, Callable[[Study, Model, Fit], Variants]] = {
     "thermal_growth": _warming,
     "tracker_step": _steps,
     "transmission_error": _orders,
+    "wrist_coupling": _geared,
 }
 
 
