@@ -62,7 +62,7 @@ def read(
     study: Study,
     experiment: Experiment,
     seed: int,
-    hidden: Mapping[str, float] = {},  # noqa: B006
+    hidden: Mapping[str, float] = {},
     *,
     options: Mapping[str, Mapping[str, Any]] | None = None,
     noise: Noise | None = None,

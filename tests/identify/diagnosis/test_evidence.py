@@ -13,7 +13,14 @@ from identify.effects import REGISTRY
 from identify.experiment import full_experiment
 from identify.selection import take_rows
 from tests.identify.diagnosis.cases import (
-    arm, block, conditions, fit_of, library, read, rest_of, whitened_columns,
+    arm,
+    block,
+    conditions,
+    fit_of,
+    library,
+    read,
+    rest_of,
+    whitened_columns,
 )  # fmt: skip
 
 ASKED = {"geometry@j3", "joint_hardening@j2", "link_mass@link3", "load_com", "base_compliance@base", "stiction@j2"}

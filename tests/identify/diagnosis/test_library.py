@@ -12,7 +12,14 @@ from identify.effects import REGISTRY
 from identify.model import model_of, respond
 from identify.simulate import simulate
 from tests.identify.diagnosis.cases import (
-    STEP_S, arm, conditions, fit_of, library, read, recorded, with_wrench,
+    STEP_S,
+    arm,
+    conditions,
+    fit_of,
+    library,
+    read,
+    recorded,
+    with_wrench,
 )  # fmt: skip
 from tests.identify.studies import experiment_of, poses, random_robot, study_of, values_of
 
@@ -130,7 +137,7 @@ def test_columns_are_derivatives_of_the_extended_model(case):
 
 
 def test_the_chord_of_friction_is_its_whole_displacement_by_its_size(case):
-    study, found, asked = case
+    _, found, asked = case
     chords = [h for h in asked if h.name == "stiction" and h.chord and h.where == "j2"]
     assert len({h.chord for h in chords}) == 3
     largest = np.abs(found.response.scene.load_on_joints[:, 1]).max()

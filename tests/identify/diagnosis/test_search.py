@@ -10,7 +10,15 @@ from identify.diagnosis.search import carried, fitted, search, with_causes, with
 from identify.errors import NoConvergence
 from identify.model import model_of
 from tests.identify.diagnosis.cases import (
-    COMPLIANCE, STEP_S, arm, conditions, entries, fit_of, library, read, recorded,
+    COMPLIANCE,
+    STEP_S,
+    arm,
+    conditions,
+    entries,
+    fit_of,
+    library,
+    read,
+    recorded,
 )  # fmt: skip
 
 #: Cause -> hidden parameters and the options that they need.
