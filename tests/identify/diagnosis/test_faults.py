@@ -183,6 +183,18 @@ def test_where_many_visits_misfit_the_model_is_wrong_and_not_the_rows(clean):
     assert judged(study, lacking) == ()
 
 
+@pytest.mark.parametrize(("visits", "named"), [(range(0, 24, 6), True), (range(0, 24, 3), False)], ids=["4", "8"])
+def test_a_slip_in_a_third_of_all_visits_is_none(clean, visits, named):
+    """Two markers stand for each other: slips in a few visits, but a wrong study where many are like that."""
+    study, data = clean
+    p = data.positions.copy()
+    for visit in visits:
+        rows = np.flatnonzero(data.experiment.row_visit == visit).reshape(-1, 3)
+        p[rows[:, [0, 1]]] = p[rows[:, [1, 0]]]
+    found = judged(study, replace(data, positions=p))
+    assert [fault.visit for fault in found] == (list(visits) if named else [])
+
+
 def test_an_edit_undone_leaves_what_was_read(clean):
     """Edits of a clean visit make it worse, all of them; its own misfit is that of noise."""
     study, data = clean

@@ -82,8 +82,12 @@ def test_patterns_are_functions_of_what_was_recorded_and_of_nothing_else(study):
 
 def test_columns_are_in_milliradians_of_the_joint(study):
     found = fit_of(study, read(study, conditions(study, 12, 3), 1))
-    first = patterns(found)[0]  # sines and cosines of q1, turning joint 1
-    q1 = found.data.experiment.q[found.data.experiment.shot_pose[found.data.experiment.row_shot], 0]
-    expected = 1e-3 * found.response.scene.joints.motion[:, 0] * np.sin(q1)[:, None]
-    np.testing.assert_allclose(first.columns[:, :, 0], expected, atol=1e-15)
-    assert first.columns.shape[2] == 6
+    turned, loaded = patterns(found)[2:4]  # sines and cosines of q1, turning joint 2, and yielding of joint 2
+    shot = found.data.experiment.row_shot
+    q1 = found.data.experiment.q[found.data.experiment.shot_pose[shot], 0]
+    expected = 1e-3 * found.response.scene.joints.motion[:, 1] * np.sin(q1)[:, None]
+    np.testing.assert_allclose(turned.columns[:, :, 0], expected, atol=1e-15)
+    assert turned.columns.shape[2] == 6
+    torque = found.response.scene.joints.torque[:, 1]
+    share = (torque / np.abs(torque).max())[shot]
+    np.testing.assert_allclose(loaded.columns, turned.columns * share[:, None, None], atol=1e-15)

@@ -158,6 +158,18 @@ def test_faulty_rows_are_named_beside_a_cause_and_kept_out_of_fit_and_gain(study
     assert listed[1]["lines"].tolist() == [38, 39]
 
 
+def test_a_fault_that_shows_once_the_causes_are_known_is_kept_out_as_well(study):
+    """0.6 mm is within what a robot without its causes may be off, and far beyond what one with them is."""
+    data = read(study, conditions(study, 20, 1), 2)
+    positions = data.positions.copy()
+    positions[41] += [0.6e-3, 0.0, 0.0]
+    found = diagnose(study, replace(data, positions=positions))
+    assert [(fault.where(data.experiment), fault.rows.tolist()) for fault in found.faults] == [("P007/M3", [41])]
+    assert len(found.clean.positions) == len(positions) - 1
+    assert found.verdict == "cause_found"
+    assert found.causes == ()
+
+
 def test_too_few_poses_are_refused_with_how_many_would_do(study):
     data = read(study, conditions(study, 7, 1), 2)
     with pytest.raises(NotIdentifiable, match=r"7 poses allow no diagnosis.*at least 8 poses"):
