@@ -9,7 +9,7 @@ import numpy as np
 from identify.arrays import Floats, Ints
 from identify.experiment import Experiment, Measurements
 
-__all__ = ["load_changes", "only_visit", "rows_of_visits", "take_rows"]
+__all__ = ["distinct_rows", "load_changes", "only_visit", "rows_of_visits", "take_rows"]
 
 
 def rows_of_visits(experiment: Experiment, visits: np.ndarray) -> Ints:
@@ -31,6 +31,20 @@ def take_rows(data: Measurements, rows: Ints) -> Measurements:
     return replace(
         data, experiment=part, positions=data.positions[rows], lines=data.lines[rows], quaternions=quaternions
     )
+
+
+def distinct_rows(data: Measurements) -> Ints:
+    """Rows (ascending) without copies: the same numbers for the same marker, load and joint values as an earlier row.
+
+    Copies hold no noise of their own. Counted as readings they make every score larger and leave chi2 per degree of
+    freedom as it is, so that nothing would tell.
+    """
+    experiment = data.experiment
+    shot = experiment.row_shot
+    keys = [experiment.q[experiment.shot_pose[shot]], experiment.shot_load[shot, None], experiment.row_marker[:, None]]
+    first = np.unique(np.hstack([*keys, data.positions]), axis=0, return_index=True)[1]
+    rows: Ints = np.sort(first)
+    return rows
 
 
 def load_changes(experiment: Experiment, rows: Floats) -> tuple[Floats, Ints]:

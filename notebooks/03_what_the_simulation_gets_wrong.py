@@ -199,7 +199,7 @@ for cause in found.causes:
 # ## 4. What should be measured next?
 #
 # Four more poses are chosen so that the candidates disagree there as much as possible. They go where joint 1 has not
-# been. One pair no pose separates: a first link that twists does exactly what a column does that tilts sideways.
+# been. A first link that twists does part of what a column does that tilts, and no more.
 # Should it be one of these, another reflector would have to help.
 
 # %%
@@ -317,7 +317,7 @@ assert np.sqrt((after**2).mean()) < 1.1 * found.gain.noise / MM, "the wrong name
 assert guess > old, "and is worse than none elsewhere"
 assert len(following.experiment.visits) == 4
 assert [pair.separable for pair in following.separations if pair.rival == HIDDEN[0]] == [True]
-assert [pair.exact for pair in following.separations if pair.rival == "link_compliance@link1"] == [True]
+assert [pair.exact for pair in following.separations if pair.rival == "link_compliance@link1"] == [False]
 assert np.abs(np.degrees(following.experiment.q[:, 0])).min() > 45, "the next poses turn joint 1"
 assert told["verdict"] == "cause_found" and not told["remainder"]
 assert [f"{cause['name']}@{cause['where']}" for cause in told["causes"]] == [HIDDEN[0]]

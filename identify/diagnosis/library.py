@@ -17,6 +17,7 @@ import numpy as np
 
 from identify.arrays import Floats, Ints, frozen
 from identify.effects import REGISTRY, Effect
+from identify.effects.joint_errors import usual_pairs
 from identify.effects.joint_turns import axis_compliance
 from identify.experiment import Experiment
 from identify.fit import Fit
@@ -268,7 +269,7 @@ def _at_torques(word: str, share: float, study: Study, found: Fit) -> Variants:
 def _gears(study: Study, model: Model, found: Fit) -> Variants:
     """Errors once or twice a turn, or both; where many poses tell even short waves, also a free curve."""
     turning = np.flatnonzero(~study.robot.prismatic)
-    for orders in ([1.0], [2.0], [1.0, 2.0]):
+    for orders in ([1.0], [2.0], [1.0, 2.0]) if len(turning) else ():
         yield Variant(tuple(f"j{joint + 1}" for joint in turning), {"orders": orders})
     experiment = found.data.experiment
     for joint in turning if len(np.unique(experiment.row_visit)) >= _RICH else ():
@@ -287,6 +288,12 @@ def _knots(experiment: Experiment, joint: int) -> Floats:
         if at > last - _VISITS or ascending[last] - ascending[at] < _APART:
             return np.append(knots, ascending[last]) if ascending[last] - knots[-1] >= _APART else np.array(knots)
         knots.append(ascending[at])
+
+
+def _geared(study: Study, model: Model, found: Fit) -> Variants:
+    """Turning joints that may be geared together, if there are any."""
+    if usual_pairs(study.robot):
+        yield Variant()
 
 
 def _steps(study: Study, model: Model, found: Fit) -> Variants:
@@ -333,6 +340,7 @@ _SPECIAL: dict[str, Callable[[Study, Model, Fit], Variants]] = {
     "thermal_growth": _warming,
     "tracker_step": _steps,
     "transmission_error": _gears,
+    "wrist_coupling": _geared,
 }
 
 

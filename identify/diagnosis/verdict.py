@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from identify.diagnosis.copies import without_copies
 from identify.diagnosis.evidence import evidence
 from identify.diagnosis.faults import Fault, faults, without_rows
 from identify.diagnosis.gain import Gain, gain
@@ -25,7 +24,7 @@ from identify.fit import Fit, fit, start
 from identify.identification import Identification, fit_differences, identify
 from identify.lack_of_fit import LackOfFit, lack_of_fit
 from identify.model import model_of
-from identify.selection import load_changes
+from identify.selection import distinct_rows, load_changes, take_rows
 from identify.study import Study
 from identify.threads import one_thread
 
@@ -142,10 +141,9 @@ def diagnose(study: Study, data: Measurements, *, seed: int = 0, without: frozen
         NoConvergence: A fit did not converge.
     """
     with one_thread():
+        data, copies = _without_copies(data)
         study, notes = _with_reference(study, data)
-        data, copies = without_copies(data)
-        if copies:
-            notes = (*notes, f"{copies} poses repeat others number by number and count once")
+        notes = (*copies, *notes)
         rules = _Rules(study.reference == "differences", seed, without)
         _check_enough(study, data)
         wrong = faults(_robust(study, data, rules), study.noise, limit=_FIRST)
@@ -157,6 +155,15 @@ def diagnose(study: Study, data: Measurements, *, seed: int = 0, without: frozen
             wrong = again
             concluded = _concluded(study, without_rows(data, wrong), rules)
         return _result(study, data, wrong, concluded, rules, notes)
+
+
+def _without_copies(data: Measurements) -> tuple[Measurements, tuple[str, ...]]:
+    """Readings that stand there twice, under whatever repeat or pose, are used once."""
+    rows = distinct_rows(data)
+    copies = len(data.positions) - len(rows)
+    if not copies:
+        return data, ()
+    return take_rows(data, rows), (f"{copies} readings are copies of others to the last digit and are used once",)
 
 
 def _with_reference(study: Study, data: Measurements) -> tuple[Study, tuple[str, ...]]:

@@ -22,7 +22,7 @@ from identify.errors import InputError
 from identify.robot import Robot
 from identify.units import DEG
 
-__all__ = ["approach_hysteresis", "transmission_error", "wrist_coupling"]
+__all__ = ["approach_hysteresis", "transmission_error", "usual_pairs", "wrist_coupling"]
 
 _ORDERS = (1.0, 2.0)
 _WAVES = ("sin", "cos")
@@ -287,6 +287,13 @@ def _hats(knots: Floats, q: Floats) -> Floats:
     return hats
 
 
+def usual_pairs(robot: Robot) -> list[tuple[int, int]]:
+    """Pairs of turning joints that may be geared together: of the last three of a long arm, else neighbours."""
+    joints = range(robot.n)
+    usual = combinations(joints[-3:], 2) if robot.n >= _WRIST else pairwise(joints)
+    return [pair for pair in usual if not robot.prismatic[list(pair)].any()]
+
+
 def _pairs(name: str, robot: Robot, where: tuple[str, ...]) -> list[tuple[int, int]]:
     """Pairs of turning joints of the given places, or the default ones."""
     if where:
@@ -294,9 +301,7 @@ def _pairs(name: str, robot: Robot, where: tuple[str, ...]) -> list[tuple[int, i
         for pair in pairs:
             turning_places(name, robot, tuple(f"j{joint + 1}" for joint in pair))
         return pairs
-    joints = range(robot.n)
-    usual = combinations(joints[-3:], 2) if robot.n >= _WRIST else pairwise(joints)
-    pairs = [pair for pair in usual if not robot.prismatic[list(pair)].any()]
+    pairs = usual_pairs(robot)
     if not pairs:
         raise InputError(f"effect {name}: robot {robot.name} has no such pair of turning joints; leave the effect out")
     return pairs
