@@ -200,7 +200,6 @@ for cause in found.causes:
 #
 # Four more poses are chosen so that the candidates disagree there as much as possible. They go where joint 1 has not
 # been. A first link that twists does part of what a column does that tilts, and no more.
-# Should it be one of these, another reflector would have to help.
 
 # %%
 following = next_poses(study, found)
