@@ -14,7 +14,7 @@ import numpy as np
 
 from identify.arrays import Floats, Ints
 from identify.diagnosis.evidence import Evidence, evidence
-from identify.diagnosis.library import Hypothesis, hypotheses, tried
+from identify.diagnosis.library import TOGETHER, Hypothesis, hypotheses, tried
 from identify.diagnosis.search import fitted
 from identify.diagnosis.verdict import known_reference
 from identify.experiment import Experiment, Measurements
@@ -75,7 +75,8 @@ def confusability(study: Study, experiment: Experiment) -> tuple[str, tuple[Conf
         position = respond(model_of(study), experiment, model_of(study).nominal, derivative=False).position
         perfect = Measurements(experiment, position, np.arange(2, len(position) + 2), source="the plan")
         found = fitted(study, perfect, differences=reference == "differences")
-        every = {h: _typical(h, _softness(study)) for h in hypotheses(study, found.model, found)}
+        asked = [h for h in hypotheses(study, found.model, found) if not (h.where is None and h.name in TOGETHER)]
+        every = {h: _typical(h, _softness(study)) for h in asked}
         sizes = {h: size for h, size in every.items() if np.isfinite(size).all()}
         seen = evidence(found, tried(found, tuple(sizes)))
         return reference, tuple(sorted(_judged(seen, sizes), key=lambda c: (c.beside_rival, c.energy)))

@@ -25,14 +25,24 @@ from identify.model import Model, Response, added_columns, effects_of, with_effe
 from identify.study import Study
 from identify.units import DEG
 
-__all__ = ["Hypothesis", "Tried", "columns_of", "detailed", "finer", "hypotheses", "merged_options", "tried"]
+__all__ = [
+    "TOGETHER",
+    "Hypothesis",
+    "Tried",
+    "columns_of",
+    "detailed",
+    "finer",
+    "hypotheses",
+    "merged_options",
+    "tried",
+]
 
 _EVERYWHERE = "all"
 _PLACE = re.compile(r"j\d+|j\d+-j\d+|link\d+|base|column|flange|all")
 _COMPONENTS = re.compile(r"\.[xyz]$")
 _BY_NAME = ("marker_seating", "load_level")  # their places are ids of the study
 #: Also tried at all their places at once.
-_TOGETHER = ("geometry", "joint_compliance", "thermal_growth", "wrist_coupling")
+TOGETHER = ("geometry", "joint_compliance", "thermal_growth", "wrist_coupling")
 _KNEES = (0.08, 0.25)  # shares of the largest torque on the joint
 _FRICTION = (0.0, 0.05, 0.15, 0.4)  # shares of the largest torque of the load on the joint
 _SATURATIONS = (0.25, 0.5)  # shares of the largest torque on the joint
@@ -148,7 +158,7 @@ def hypotheses(
             for index, parameter in enumerate(effect.parameters):
                 if parameter.name not in held:
                     groups.setdefault(_place(name, parameter.name), []).append(index)
-            if name in _TOGETHER and len(groups) > 1:
+            if name in TOGETHER and len(groups) > 1:
                 groups[None] = [index for own in groups.values() for index in own]
             asked += [
                 Hypothesis(name, where, _own(options, where), effect, frozen(own, np.int64), chord.get(where, 0.0))
