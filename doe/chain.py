@@ -8,7 +8,7 @@ whitened block is
     B^-1/2 sum_s h_rs V_s                              for each contrast r
     (B + L J L_pose J')^-1/2 (sqrt(L) S + sum_s V_s / sqrt(L))      for the mean (``absolute`` only)
 
-Where nominal compliances are not zero the deflection changes with geometry and markers. `identify.model` takes
+Where nominal compliances are not zero the deflection changes with geometry and markers. `identify.response` takes
 this part of their columns by differences; here it is a derivative too.
 """
 
@@ -28,7 +28,7 @@ from identify.arrays import Floats, Ints
 from identify.effects import Effect
 from identify.effects.base import SpringSet, Term
 from identify.experiment import full_experiment
-from identify.model import frame_displacement, marker_positions
+from identify.response import frame_displacement, marker_positions
 from identify.robot import Robot
 from identify.study import Noise
 from identify.units import MM, MRAD, SI_OF

@@ -18,7 +18,8 @@ from identify.diagnosis.library import TOGETHER, Hypothesis, hypotheses, tried
 from identify.diagnosis.search import fitted
 from identify.diagnosis.verdict import known_reference
 from identify.experiment import Experiment, Measurements
-from identify.model import model_of, respond
+from identify.model import model_of
+from identify.response import respond
 from identify.study import Study
 from identify.threads import one_thread
 

@@ -16,8 +16,9 @@ from identify.diagnosis.search import Cause, carried, with_causes
 from identify.diagnosis.verdict import Diagnosis
 from identify.errors import Infeasible, InputError
 from identify.experiment import Experiment
-from identify.model import Model, model_of, respond
+from identify.model import Model, model_of
 from identify.noise import whitening
+from identify.response import respond
 from identify.study import Study
 from identify.threads import one_thread
 

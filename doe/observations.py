@@ -14,8 +14,9 @@ from identify.experiment import Experiment, full_experiment
 from identify.identifiability import Identifiability, independent_columns, triangle, why_not
 from identify.kinematics import forward
 from identify.loads import LoadCase, Markers
-from identify.model import Model, effect_columns, model_of, respond, through_columns, without_nuisance
+from identify.model import Model, model_of, without_nuisance
 from identify.noise import whitening
+from identify.response import effect_columns, respond, through_columns
 from identify.study import Study
 
 __all__ = ["Observer", "identifiable", "keep_columns", "observer", "stacked_visits", "target_rows"]

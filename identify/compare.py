@@ -20,7 +20,8 @@ from identify.errors import InputError, NoConvergence
 from identify.experiment import Measurements
 from identify.fit import Fit, State, fit, start
 from identify.identification import Misfit, fit_differences, misfit_of
-from identify.model import model_of, respond
+from identify.model import model_of
+from identify.response import respond
 from identify.selection import load_changes, rows_of_visits, take_rows
 from identify.study import ModelChoice, Study
 

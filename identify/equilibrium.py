@@ -11,7 +11,8 @@ from identify.arrays import Floats, frozen
 from identify.errors import NoConvergence
 from identify.experiment import Experiment
 from identify.loaded_scene import TOLERANCE, LoadedScene
-from identify.model import Model, deflected, frame_displacement, respond
+from identify.model import Model
+from identify.response import deflected, frame_displacement, respond
 from identify.units import MM
 
 __all__ = ["Equilibrium", "LinearError", "equilibrium", "linear_error", "linear_misses"]

@@ -21,8 +21,9 @@ from identify.arrays import Floats, Ints
 from identify.errors import InputError, NoConvergence
 from identify.experiment import Measurements
 from identify.identifiability import Dropped, Identifiability, independent_columns
-from identify.model import Model, Response, frame_displacement, respond
+from identify.model import Model
 from identify.noise import Whitening
+from identify.response import Response, frame_displacement, respond
 from identify.row_distances import one_of_two, robust_scale
 from identify.study import Noise
 from identify.whitened_rows import Part, Problem, Rows, State, parts_of, predicted, rows_at, stepped

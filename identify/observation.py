@@ -10,7 +10,8 @@ from identify.errors import NotIdentifiable
 from identify.experiment import full_experiment
 from identify.kinematics import forward
 from identify.loads import LoadCase, Markers
-from identify.model import Model, effect_columns
+from identify.model import Model
+from identify.response import effect_columns
 from identify.springs import cross
 from identify.study import Study
 

@@ -9,8 +9,9 @@ import numpy as np
 from identify.alignment import inverse
 from identify.arrays import Floats
 from identify.experiment import Experiment, Measurements
-from identify.model import Model, respond
+from identify.model import Model
 from identify.noise import instrument_covariance
+from identify.response import respond
 from identify.study import Noise
 
 __all__ = ["default_placement", "simulate"]

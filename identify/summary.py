@@ -17,7 +17,8 @@ from identify.errors import InputError
 from identify.experiment import Experiment
 from identify.identifiability import why_not
 from identify.identification import Identification, Misfit
-from identify.model import Model, marker_positions, model_of, respond
+from identify.model import Model, model_of
+from identify.response import marker_positions, respond
 from identify.study import Study
 from identify.units import MM
 

@@ -9,8 +9,8 @@ import numpy as np
 from identify.arrays import Floats
 from identify.fit import Fit
 from identify.loads import LoadCase
-from identify.model import respond
 from identify.noise import Whitening
+from identify.response import respond
 
 __all__ = ["load_changes_by_sigma", "load_share", "off_columns", "stated_covariance", "visit_covariance"]
 

@@ -19,8 +19,9 @@ from identify.arrays import Floats, Ints
 from identify.effects import Scene
 from identify.experiment import Measurements
 from identify.identifiability import triangle
-from identify.model import Model, Response, respond, undeflected
+from identify.model import Model
 from identify.noise import Whitening, instrument_covariance, joined, whitening
+from identify.response import Response, respond, undeflected
 from identify.row_distances import row_distances
 from identify.selection import take_rows
 from identify.study import Noise
@@ -153,7 +154,7 @@ class Rows:
         operators: The whitening of each part.
         whitened: (K,) whitened residual.
         upper: (m, p + 1) R factor of the whitened columns and residual; columns of what may not move are zero.
-        direct: (m, p) the same of the columns that decide on rank (`identify.model.Response.direct`).
+        direct: (m, p) the same of the columns that decide on rank (`identify.response.Response.direct`).
     """
 
     problem: Problem

@@ -53,7 +53,8 @@ from identify.equilibrium import linear_error
 from identify.experiment import full_experiment
 from identify.gravity_spring import SpringGeometry, spring_basis, spring_from_levels
 from identify.joint_levels import joint_levels
-from identify.model import model_of, respond
+from identify.model import model_of
+from identify.response import respond
 from identify.priors import beam_prior
 from identify.reconstruction import identify_positive, reconstruct
 from identify.reduce_command import reduced_model

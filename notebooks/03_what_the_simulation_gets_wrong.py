@@ -52,7 +52,8 @@ from doe.cli import run
 from doe.confusability import SHOWN, confusability
 from identify import diagnose, load_measurements, load_study
 from identify.experiment import full_experiment
-from identify.model import model_of, respond
+from identify.model import model_of
+from identify.response import respond
 from identify.selection import load_changes
 from identify.tables import plan_csv
 from identify.units import DEG, MM

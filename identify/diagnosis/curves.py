@@ -16,7 +16,7 @@ from identify.arrays import Floats
 from identify.diagnosis.search import Cause
 from identify.experiment import Experiment, full_experiment
 from identify.identification import Identification
-from identify.model import respond
+from identify.response import respond
 
 __all__ = ["Curve", "curves"]
 

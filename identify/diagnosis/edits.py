@@ -11,8 +11,8 @@ import numpy as np
 from identify.arrays import Floats, Ints
 from identify.experiment import Experiment, Measurements
 from identify.fit import OUTLYING, Fit
-from identify.model import respond
 from identify.noise import Whitening, whitening
+from identify.response import respond
 from identify.selection import only_visit, take_rows
 from identify.study import Noise
 from identify.units import DEG

@@ -11,8 +11,8 @@ from identify.diagnosis.search import Search, fitted, search
 from identify.experiment import Measurements
 from identify.fit import Fit
 from identify.identification import misfit_of
-from identify.model import respond
 from identify.noise import instrument_covariance
+from identify.response import respond
 from identify.selection import rows_of_visits, take_rows
 from identify.study import Noise, Study
 

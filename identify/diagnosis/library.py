@@ -21,7 +21,8 @@ from identify.effects.joint_errors import usual_pairs
 from identify.effects.joint_turns import axis_compliance
 from identify.experiment import Experiment
 from identify.fit import Fit
-from identify.model import Model, Response, added_columns, effects_of, with_effect
+from identify.model import Model, effects_of, with_effect
+from identify.response import Response, added_columns
 from identify.study import Study
 from identify.units import DEG
 

@@ -12,7 +12,7 @@ from identify.diagnosis.screen import recorded
 from identify.diagnosis.verdict import Diagnosis
 from identify.fit import Fit
 from identify.identification import misfit_of
-from identify.model import Response, respond
+from identify.response import Response, respond
 from identify.units import MM
 
 __all__ = ["residuals_csv"]

@@ -11,7 +11,8 @@ from doe.confusability import SHOWN, confusability
 from identify.diagnosis.library import hypotheses, tried
 from identify.diagnosis.search import fitted
 from identify.experiment import Measurements, full_experiment
-from identify.model import model_of, respond
+from identify.model import model_of
+from identify.response import respond
 from identify.tables import plan_csv
 from tests.doe.study_files import KR270, study, study_file
 

@@ -17,7 +17,8 @@ from identify.identification import identify
 from identify.joint_levels import joint_levels
 from identify.kinematics import forward
 from identify.loads import LoadCase, Markers
-from identify.model import effect_columns, model_of, respond
+from identify.model import model_of
+from identify.response import effect_columns, respond
 from identify.robot_files import load_robot
 from identify.simulate import simulate
 from identify.study import Noise, Study

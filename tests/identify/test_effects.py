@@ -7,7 +7,8 @@ from identify.effects import bind_effects
 from identify.errors import InputError
 from identify.kinematics import flange_poses
 from identify.loads import Markers
-from identify.model import model_of, respond
+from identify.model import model_of
+from identify.response import respond
 from tests.identify.studies import (
     COMPLIANCE,
     LIGHT,

@@ -13,7 +13,8 @@ from identify.errors import NoConvergence
 from identify.experiment import full_experiment
 from identify.fit import fit, start
 from identify.loads import LoadCase, Markers
-from identify.model import model_of, respond
+from identify.model import model_of
+from identify.response import respond
 from identify.robot_files import load_robot
 from identify.simulate import simulate
 from identify.study import Noise

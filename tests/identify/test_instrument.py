@@ -13,7 +13,8 @@ from identify.arrays import rotation_of
 from identify.effects import bind_effects
 from identify.errors import InputError
 from identify.identification import identify
-from identify.model import model_of, respond
+from identify.model import model_of
+from identify.response import respond
 from identify.robot_files import load_robot
 from identify.study import TestPose
 from tests.identify.studies import (

@@ -12,7 +12,8 @@ from identify.identifiability import Dropped, why_not
 from identify.identification import identify
 from identify.kinematics import forward
 from identify.loads import LoadCase
-from identify.model import model_of, respond
+from identify.model import model_of
+from identify.response import respond
 from identify.study import Noise
 from tests.identify.studies import (
     COMPLIANCE,

@@ -10,8 +10,9 @@ from identify.experiment import Experiment
 from identify.fit import State, fit
 from identify.kinematics import flange_poses
 from identify.loads import Markers
-from identify.model import model_of, respond
+from identify.model import model_of
 from identify.noise import _inverse_root, instrument_covariance, whitening
+from identify.response import respond
 from identify.simulate import simulate
 from identify.study import Noise, Tracker
 from identify.uncertainty import stated_covariance

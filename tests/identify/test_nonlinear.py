@@ -10,7 +10,8 @@ from identify.errors import InputError
 from identify.identification import identify
 from identify.kinematics import forward
 from identify.loads import LoadCase
-from identify.model import effect_columns, model_of, respond
+from identify.model import model_of
+from identify.response import effect_columns, respond
 from identify.robot_files import load_robot
 from tests.identify.studies import (
     COMPLIANCE,

@@ -14,7 +14,7 @@ from identify.errors import Infeasible, InputError, NoConvergence
 from identify.experiment import full_experiment
 from identify.identification import identify
 from identify.identified import Identified, identified_by_fit, identified_values
-from identify.model import model_of, respond
+from identify.model import model_of
 from identify.observation import observation_matrix, random_configurations
 from identify.partition import coupling
 from identify.positive_cone import cone_of
@@ -22,6 +22,7 @@ from identify.priors import Prior, beam_prior, link_boxes
 from identify.reconstruction import MARGIN, identify_positive, reconstruct
 from identify.reduce_command import reduced_model
 from identify.reduction import complete_model, reduce
+from identify.response import respond
 from identify.simulate import simulate
 from identify.study import Noise
 

@@ -20,12 +20,13 @@ from identify.errors import InputError, NotIdentifiable
 from identify.experiment import full_experiment
 from identify.identification import identify
 from identify.loads import LoadCase
-from identify.model import model_of, respond, without_nuisance
+from identify.model import model_of, without_nuisance
 from identify.observation import observation_matrix, probing_loads, random_configurations
 from identify.partition import coupled_groups, coupling, partition, select
 from identify.reduce_command import reduced_model
 from identify.reduction import complete_model, reduce
 from identify.reduction_steps import aggregation, sparsing, symmetrisation
+from identify.response import respond
 from identify.robot_files import load_robot
 from identify.simulate import simulate
 from identify.summary import identification_json

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from identify.alignment import align, inverse
-from identify.model import model_of, respond
+from identify.model import model_of
+from identify.response import respond
 from identify.simulate import default_placement
 from identify.study import Noise, Tracker
 from tests.identify.studies import (

@@ -10,7 +10,8 @@ from identify.errors import InputError
 from identify.experiment import full_experiment
 from identify.identification import identify
 from identify.kinematics import forward
-from identify.model import model_of, respond
+from identify.model import model_of
+from identify.response import respond
 from identify.results import json_text
 from identify.robot_files import load_robot
 from identify.summary import identification_json, load_fitted, predict

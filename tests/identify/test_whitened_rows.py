@@ -9,7 +9,8 @@ from identify import whitened_rows
 from identify.experiment import full_experiment
 from identify.identification import fit_differences, identify
 from identify.loads import Markers
-from identify.model import model_of, respond, undeflected
+from identify.model import model_of
+from identify.response import respond, undeflected
 from identify.row_distances import _square
 from identify.uncertainty import _scores, load_changes_by_sigma, off_columns
 from tests.identify.studies import COMPLIANCE, PLATE, UNLOADED, WEIGHT, geometry_errors, kr270_study, measured, poses

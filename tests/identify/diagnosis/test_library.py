@@ -9,7 +9,8 @@ import pytest
 from identify.diagnosis.library import finer, hypotheses, merged_options, tried
 from identify.diagnosis.search import with_causes
 from identify.effects import REGISTRY
-from identify.model import model_of, respond
+from identify.model import model_of
+from identify.response import respond
 from identify.simulate import simulate
 from tests.identify.diagnosis.cases import (
     STEP_S,
