@@ -180,28 +180,42 @@ def _chosen(rules: _Rules, study: Study, first: Fit) -> Search:
         entered, sizes = _next(rules, *wider, refused, share)
         if entered is None:
             break
-        larger = (*causes, entered)
         try:
-            found, wider = _both(rules, study, larger, found, sizes)
+            causes, found, wider = _entered(rules, study, (*causes, entered), found, sizes, refused)
         except NoConvergence:
             refused.add(entered.hypothesis.entry)  # what cannot be fitted explains nothing
-            continue
-        causes = _needed(wider[1], larger)
-        if len(causes) < len(larger):
-            found, wider = _both(rules, study, causes, found)
     return Search(with_causes(study, _named(causes)), study, first, found, causes, rules.gate)
 
 
+def _entered(
+    rules: _Rules, study: Study, causes: tuple[Cause, ...], begin: Fit, sizes: Mapping[str, float], refused: set[str]
+) -> tuple[tuple[Cause, ...], Fit, tuple[Study, Fit]]:
+    """The causes after one more entered: without one that it made superfluous, which is not tried again."""
+    found, wider = _both(rules, study, causes, begin, sizes)
+    needed = _needed(wider[1], causes)
+    if len(needed) < len(causes):
+        found, wider = _both(rules, study, needed, found)
+        refused.update({cause.hypothesis.entry for cause in causes} - {cause.hypothesis.entry for cause in needed})
+    return needed, found, wider
+
+
 def _on_all(chosen: Search, first: Fit) -> Search:
-    """The causes that some visits chose, as detailed as all visits allow and fitted to all of them."""
-    data, differences = first.data, first.whitening.cancels
-    known = _named(chosen.causes)
-    model = chosen.last.model
+    """The causes that some visits chose, fitted to all of them, as detailed as they allow where that converges."""
+    if not chosen.causes:
+        return Search(chosen.base, chosen.base, first, first, (), chosen.gate, chosen)
+    data, model, known = first.data, chosen.last.model, _named(chosen.causes)
     full = tuple(detailed(own, chosen.study, model, data.experiment) for own in known)
+    try:
+        return _refitted(chosen, first, full, chosen.last if full == known else first)
+    except NoConvergence:
+        return _refitted(chosen, first, known, chosen.last)
+
+
+def _refitted(chosen: Search, first: Fit, full: tuple[Hypothesis, ...], begin: Fit) -> Search:
+    """The causes of a search with these options, fitted to all visits."""
     causes = tuple(replace(cause, hypothesis=own) for cause, own in zip(chosen.causes, full, strict=True))
-    same = full == known
-    study = with_causes(chosen.base, _named(causes))
-    last = fitted(study, data, differences=differences, begin=chosen.last if same else first) if causes else first
+    study = with_causes(chosen.base, full)
+    last = fitted(study, first.data, differences=first.whitening.cancels, begin=begin)
     return Search(study, chosen.base, first, last, causes, chosen.gate, chosen)
 
 
