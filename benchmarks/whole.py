@@ -1,4 +1,4 @@
-"""Whole processes: help and plan, with their peak memory."""
+"""Whole processes: help, plan and diagnose, with their peak memory."""
 
 from __future__ import annotations
 
@@ -39,3 +39,13 @@ def main() -> None:
         large.write_text(text.replace("../robots/", f"{ROOT}/configs/robots/"))
         seconds, memory = _run("plan", str(large), "--out", f"{folder}/b")
         line("elastocal plan, 100,000 candidates", f"{seconds:.1f} s, {memory:.0f} MB", "under 1 GB")
+        wrong, poses = (study.with_name(f"kr270_diagnose{end}") for end in (".toml", "_poses.csv"))
+        truth = ROOT / "configs" / "truths" / "kr270_diagnose.toml"
+        _run("simulate", str(wrong), str(poses), "--truth", str(truth), "--out", f"{folder}/c")
+        seconds, memory = _run("diagnose", str(wrong), f"{folder}/c/measurements.csv", "--out", f"{folder}/d")
+        line("elastocal diagnose, 30 poses, folds included", f"{seconds:.1f} s, {memory:.0f} MB", "under 3 s")
+        series = ROOT.parent / "shared" / "data" / "ur10-tmac" / "series_a.csv"
+        if series.is_file():  # real measurements, not part of the project
+            real = study.with_name("ur10_series_a.toml")
+            seconds, memory = _run("diagnose", str(real), str(series), "--out", f"{folder}/e")
+            line("elastocal diagnose, UR10, 12,000 poses", f"{seconds:.0f} s, {memory:.0f} MB", "under 60 s")
