@@ -209,17 +209,16 @@ def measure(rng, world, given, noise) -> np.ndarray:
     return clean + spread * drawn
 
 
-def write_case(case: Case, folder: Path, more: str = "") -> Path:
+def write_case(case: Case, folder: Path) -> Path:
     """Write robot.toml, study.toml and measurements.csv into a folder; the truth goes beside it, not into it.
 
     Args:
         case: The case.
         folder: Made if need be.
-        more: Tables at the end of the study.
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.toml").write_text(files.robot_file(case.setting))
-    (folder / "study.toml").write_text(files.study_file(case.setting, case.stated) + more)
+    (folder / "study.toml").write_text(files.study_file(case.setting, case.stated))
     (folder / "measurements.csv").write_text(files.measurements(case.table))
     folder.with_suffix(".truth.json").write_text(json.dumps(case.truth, default=float, indent=1))
     return folder

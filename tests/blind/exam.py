@@ -86,8 +86,8 @@ def _examined(case, folder, command, more):
 
 def robbed(case: Case, folder: Path, command: Path) -> bool:
     """Without its own effect in the library, the case is given another name and no doubt is left."""
-    write_case(case, folder, shell.WITHOUT.format(name=case.causes[0][0]))
-    return confident(shell.diagnose(folder, command)[0])
+    write_case(case, folder)
+    return confident(shell.diagnose(folder, command, without=case.causes[0][0])[0])
 
 
 def held_out_ratio(case: Case, folder: Path, command: Path) -> float:

@@ -139,7 +139,7 @@ def rivals(setting: Setting, times) -> list[tuple[str, str | None, list]]:
     balance = [bump("balance_torque", k, 100.0) for k in range(4)] + [bump("balance_rate", k, 0.01) for k in range(2)]
     found += [("gravity_compensator", "j2", balance)]
     found += [("joint_hardening", w, [bump("hardening", j, 0.1)]) for w, j in named if c[j]]
-    knees = {j: (600.0, 250.0, 1200.0) if j < 3 else (120.0, 50.0, 240.0) for j in range(6)}
+    knees = {j: np.geomspace(*((150.0, 6000.0) if j < 3 else (30.0, 1500.0)), 10) for j in range(6)}
     found += [("joint_windup", w, [knee_at(j, knee)]) for w, j in named for knee in knees[j]]
     found += [("backlash", w, [bump("backlash", j, 1e-4)]) for w, j in named]
     found += [("approach_hysteresis", w, [bump("hysteresis", j, 5e-5)]) for w, j in named if design.approach]

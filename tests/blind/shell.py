@@ -15,7 +15,6 @@ from tests.blind.setting import MARKERS
 
 ROOT = Path(__file__).parents[2]
 COMMAND = Path(sys.executable).with_name("elastocal")
-WITHOUT = '\n[diagnose]\nwithout = ["{name}"]\n'  # lines of a study that take a cause out of the library
 SLOW = 120.0  # s; a diagnosis that takes longer has failed
 
 
@@ -23,11 +22,11 @@ class Failed(Exception):
     """The command did not end with 0; holds what it said."""
 
 
-def call(verb: str, *files: Path, out: Path, command: Path = COMMAND) -> tuple[Path, float]:
-    """Run one command of elastocal and say where its results are and how long it took, s."""
+def call(verb: str, *files: Path, out: Path, command: Path = COMMAND, more: tuple = ()) -> tuple[Path, float]:
+    """Run one command of elastocal (with more options) and say where its results are and how long it took, s."""
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     env = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": path}
-    line = [str(command), verb, *map(str, files), "--out", str(out), "--force", "--quiet"]
+    line = [str(command), verb, *map(str, files), "--out", str(out), "--force", "--quiet", *more]
     start = time.perf_counter()
     try:
         done = subprocess.run(line, capture_output=True, text=True, env=env, timeout=SLOW, check=False)
@@ -38,10 +37,13 @@ def call(verb: str, *files: Path, out: Path, command: Path = COMMAND) -> tuple[P
     return out, time.perf_counter() - start
 
 
-def diagnose(folder: Path, command: Path = COMMAND, name: str = "measurements.csv") -> tuple[dict, float]:
-    """diagnose.json of a case's folder, and the time it took."""
+def diagnose(
+    folder: Path, command: Path = COMMAND, name: str = "measurements.csv", without: str | None = None
+) -> tuple[dict, float]:
+    """diagnose.json of a case's folder, and the time it took; a cause may be taken out of the library."""
+    more = () if without is None else ("--without", without)
     out = folder.parent / f"{folder.name}-{Path(name).stem}-found"
-    out, seconds = call("diagnose", folder / "study.toml", folder / name, out=out, command=command)
+    out, seconds = call("diagnose", folder / "study.toml", folder / name, out=out, command=command, more=more)
     found = json.loads((out / "diagnose.json").read_text())
     missing = {"verdict", "causes", "remainder", "next_poses"} - set(found)
     if missing or any({"name", "where", "ambiguous_with"} - set(cause) for cause in found.get("causes", [])):
