@@ -31,6 +31,7 @@ __all__ = ["Part", "Problem", "Rows", "State", "parts_of", "predicted", "rows_at
 
 _ROWS = 4096  # of a part: its columns stay in cache; twice as many where two threads would wait for each other
 _SERIAL = 4  # parts below which threads do not pay
+_WIDE, _WIDE_ROWS = 200, 3000  # parameters from which on a triangle costs so much that threads always pay; rows then
 _THREADS = 2
 
 T = TypeVar("T")
@@ -96,6 +97,11 @@ class Problem:
         together = len(found) > 0 and found[-1] - found[0] == len(found) - 1
         return slice(int(found[0]), int(found[-1]) + 1) if together else found
 
+    @property
+    def serial(self) -> int:
+        """Number of parts below which they are looked at one after another."""
+        return _THREADS if len(self.free) > _WIDE else _SERIAL
+
     @cached_property
     def linear(self) -> bool:
         """True if the columns do not depend on the values of what may move."""
@@ -109,7 +115,10 @@ def parts_of(model: Model, data: Measurements) -> tuple[Part, ...]:
     visit = data.experiment.row_visit
     count = len(visit)
     starts = np.flatnonzero(np.diff(visit, prepend=-1))
-    size = 2 * _ROWS if count >= 2 * _SERIAL * _ROWS else _ROWS
+    if len(model.parameters) > _WIDE:
+        size = max(-(-count // (_THREADS * max(1, round(count / (_THREADS * _WIDE_ROWS))))), 1)
+    else:
+        size = 2 * _ROWS if count >= 2 * _SERIAL * _ROWS else _ROWS
     cuts = np.unique(starts[np.searchsorted(starts, np.arange(0, count, size), side="right") - 1])
     slices = [slice(int(a), int(b)) for a, b in pairwise([*cuts, count])]
     return tuple(_each(slices, lambda rows: _part(model, data, rows)))
@@ -225,7 +234,7 @@ class _Look(NamedTuple):
 
 def rows_at(problem: Problem, state: State) -> Rows:
     """All rows at a state, with the triangles of their columns."""
-    looks = _each(problem.parts, lambda part: _look(problem, part, state))
+    looks = _each(problem.parts, lambda part: _look(problem, part, state), problem.serial)
     residual, point, operators, whitened, uppers, directs = zip(*looks, strict=True)
     upper = _spread(problem, triangle(uppers))
     direct = [part for part in directs if part is not None]
@@ -267,9 +276,9 @@ def stepped(rows: Rows, state: State, step: Floats) -> Rows:
     return replace(rows, state=state, residual=residual, whitened=np.concatenate(whitened), upper=upper)
 
 
-def _each(parts: Sequence[T], work: Callable[[T], U]) -> list[U]:
+def _each(parts: Sequence[T], work: Callable[[T], U], least: int = _SERIAL) -> list[U]:
     """Do the same for every part, for large data on two threads; order and numbers do not depend on that."""
-    if len(parts) < _SERIAL:
+    if len(parts) < least:
         return [work(part) for part in parts]
     with one_thread(), ThreadPoolExecutor(_THREADS) as pool:
         return list(pool.map(work, parts))

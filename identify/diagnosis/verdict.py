@@ -268,7 +268,7 @@ def _searched(study: Study, clean: Measurements, rules: _Rules) -> _Conclusion:
     gates: tuple[Gate, Gate] = ("flip", "holm") if _many(clean) else ("holm", "flip")
     done = search_by(gate=gates[0], rivals=False)
     lack = lack_of_fit(done.last, np.zeros(0, dtype=np.int64))
-    trusted = min(lack.p_value, louder_than_stated(done.last, study.noise)) >= _REJECTED
+    trusted = lack.p_value >= _REJECTED and louder_than_stated(done.last, study.noise) >= _REJECTED
     if trusted != (gates[0] == "holm"):
         done = search_by(gate=gates[1], rivals=False, begin=done.first)
         lack = lack_of_fit(done.last, np.zeros(0, dtype=np.int64))
