@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from identify.diagnosis.library import Hypothesis
+from identify.diagnosis.library import Hypothesis, placed_options
 from identify.diagnosis.verdict import Diagnosis
 from identify.problems import read_toml
 from identify.study import Tracker
@@ -42,10 +42,10 @@ def extended_toml(found: Diagnosis, out: Path) -> str:
 
 
 def _put_options(model: dict[str, Any], cause: Hypothesis) -> None:
-    """Options of a cause, at its place where it has one."""
-    if cause.options:
-        table = model.setdefault(cause.name, {})
-        table.update(cause.options if cause.where is None else {cause.where: dict(cause.options)})
+    """Options of a cause, at its place where it has one of its own."""
+    options = placed_options(cause)
+    if options:
+        model.setdefault(cause.name, {}).update(options)
 
 
 def _put_noise(noise: dict[str, Any], tracker: Tracker | None) -> None:

@@ -35,6 +35,7 @@ __all__ = [
     "finer",
     "hypotheses",
     "merged_options",
+    "placed_options",
     "tried",
 ]
 
@@ -42,6 +43,7 @@ _EVERYWHERE = "all"
 _PLACE = re.compile(r"j\d+|j\d+-j\d+|link\d+|base|column|flange|all")
 _COMPONENTS = re.compile(r"\.[xyz]$")
 _BY_NAME = ("marker_seating", "load_level")  # their places are ids of the study
+_COMMON = ("thermal_growth",)  # one set of options for all places
 #: Also tried at all their places at once.
 TOGETHER = ("geometry", "joint_compliance", "thermal_growth", "wrist_coupling")
 _KNEES = (0.08, 0.25)  # shares of the largest torque on the joint
@@ -168,15 +170,17 @@ def hypotheses(
     return tuple(asked)
 
 
+def placed_options(added: Hypothesis) -> dict[str, Any]:
+    """The options of a hypothesis as they stand in ``[model.<effect>]``: at its place, if the effect allows that."""
+    own = dict(added.options)
+    return own if added.where is None or added.name in _COMMON or not own else {added.where: own}
+
+
 def merged_options(options: Mapping[str, Mapping[str, Any]], added: Hypothesis) -> Mapping[str, Mapping[str, Any]]:
     """Options of a study with those of one more cause, kept at its place where it has one."""
     if not added.options:
         return options
-    own = dict(options.get(added.name, {}))
-    if added.where is None:
-        own.update(added.options)
-    else:
-        own[added.where] = dict(added.options)
+    own = {**options.get(added.name, {}), **placed_options(added)}
     return MappingProxyType({**options, added.name: MappingProxyType(own)})
 
 

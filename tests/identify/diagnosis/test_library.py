@@ -232,3 +232,13 @@ def test_a_rigid_arm_is_offered_compliance_and_no_friction():
     asked = library(study, fit_of(study, read(arm(), conditions(study, 10, 1), 2)))
     assert not places(asked, "stiction")
     assert set(places(asked, "joint_compliance")) == {*JOINTS, None}  # each alone, and all at once
+
+
+def test_every_hypothesis_binds_in_its_study_where_no_temperature_was_read():
+    study = arm()
+    data = read(study, replace(recorded(conditions(study, 10, 1)), temperature=None), 2)
+    asked = library(study, fit_of(study, data))
+    assert {h.where for h in asked if h.name == "thermal_growth"} == {None, "j2", "j3"}
+    for h in asked:
+        larger = model_of(with_causes(study, (h,)))
+        assert {h.effect.parameters[index].name for index in h.own} <= set(larger.names), h.entry
