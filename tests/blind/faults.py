@@ -165,7 +165,7 @@ def rivals(setting: Setting, times) -> list[tuple[str, str | None, list]]:
         moments = np.quantile(times, np.linspace(0.1, 0.9, 9))
         steps = [[step_at(t, k, 1e-4 if k < 3 else 3e-5) for k in range(6)] for t in moments]
         found += [("tracker_step", None, handles) for handles in steps]
-    stuck = [60.0, 150.0]
+    stuck = np.geomspace(10.0, 600.0, 8)
     found += [("stiction", w, [_stuck(j, f * (1 if j > 2 else 4))]) for w, j in named for f in stuck]
     return found
 
