@@ -220,12 +220,30 @@ def _refitted(chosen: Search, first: Fit, full: tuple[Hypothesis, ...], begin: F
 
 
 def with_rivals(done: Search, without: frozenset[str] = frozenset()) -> Search:
-    """The same search with the hypotheses that explain the same as each cause."""
-    if done.chosen is None:
-        return replace(done, causes=tuple(_with_rivals(done, number, without) for number in range(len(done.causes))))
-    chosen = with_rivals(done.chosen, without)
-    causes = (replace(own, rivals=few.rivals) for own, few in zip(done.causes, chosen.causes, strict=True))
-    return replace(done, causes=tuple(causes), chosen=chosen)
+    """The same search with the hypotheses that explain the same as each cause; causes that the others replace go."""
+    if done.chosen is not None:
+        found = [_with_rivals(done.chosen, number, without) for number in range(len(done.causes))]
+        rivals = [() if few is None else few.rivals for few in found]
+        return replace(done, causes=tuple(replace(c, rivals=r) for c, r in zip(done.causes, rivals, strict=True)))
+    causes: list[Cause] = []
+    for number in range(len(done.causes)):
+        judged = _with_rivals(done, number, without)
+        if judged is None:
+            return with_rivals(_lessened(done, number), without)
+        causes.append(judged)
+    return replace(done, causes=tuple(causes))
+
+
+def _lessened(done: Search, number: int) -> Search:
+    """A search without one of its causes."""
+    causes = done.causes[:number] + done.causes[number + 1 :]
+    study = with_causes(done.base, _named(causes))
+    last = (
+        fitted(study, done.last.data, differences=done.last.whitening.cancels, begin=done.last)
+        if causes
+        else done.first
+    )
+    return replace(done, study=study, last=last, causes=causes)
 
 
 def _named(causes: tuple[Cause, ...]) -> tuple[Hypothesis, ...]:
@@ -357,8 +375,8 @@ def _worth(found: Fit, cause: Hypothesis) -> float:
     return float(chi2_sf(size, max(len(where), 1)))
 
 
-def _with_rivals(done: Search, number: int, without: frozenset[str]) -> Cause:
-    """A cause with the hypotheses that explain the same beside the other causes."""
+def _with_rivals(done: Search, number: int, without: frozenset[str]) -> Cause | None:
+    """A cause with the hypotheses that explain the same beside the other causes; None if these need it no more."""
     cause, own = done.causes[number], done.causes[number].hypothesis
     rest = with_causes(done.base, _named(done.causes[:number] + done.causes[number + 1 :]))
     begin = fitted(rest, done.last.data, differences=done.last.whitening.cancels, begin=done.last)
@@ -366,6 +384,8 @@ def _with_rivals(done: Search, number: int, without: frozenset[str]) -> Cause:
     asked = hypotheses(rest, begin.model, begin, without=without)
     others = [h for h in asked if h.entry != own.entry]
     seen = evidence(begin, tried(begin, (own, *others)))
+    if len(done.causes) > 1 and seen.score(0).p_value > _STILL:
+        return None
     rivals: dict[str, Hypothesis] = {}
     for block, other in enumerate(others, start=1):
         if other.entry not in rivals and _is_rival(seen, block, other):
