@@ -182,3 +182,18 @@ def test_an_implausible_size_is_no_explanation(study):
     data = read(study, conditions(study, 18, 3), 4, hidden, options=options)
     done = searched(study, data, rivals=False, without=few)
     assert "transmission_error@j4" not in entries(done.causes)
+
+
+def test_a_cause_that_the_others_replace_leaves_the_answer_and_has_no_rivals(study):
+    """Beside the right cause a wrong one explains nothing, so that everything would be its rival."""
+    data = read(study, recorded(conditions(study, 18, 3)), 4, PLANTED["thermal_growth"][0])
+    first = fit_of(study, data)
+    asked = library(study, first)
+    right, wrong = (next(h for h in asked if h.entry == name) for name in ("thermal_growth", "load_com"))
+    causes = tuple(module.Cause(h, 1e-4) for h in (wrong, right))
+    both = with_causes(study, (wrong, right))
+    last = fitted(both, data, differences=False)
+    done = module.with_rivals(module.Search(both, study, first, last, causes, "holm"))
+    assert entries(done.causes) == ["thermal_growth"]
+    assert "load_com.x" not in done.last.model.names
+    assert done.study.effects == (*study.effects, "thermal_growth")
