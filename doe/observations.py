@@ -17,6 +17,7 @@ from identify.loads import LoadCase, Markers
 from identify.model import Model, model_of, without_nuisance
 from identify.noise import whitening
 from identify.response import effect_columns, respond, through_columns
+from identify.six_d import with_turns
 from identify.study import Study
 
 __all__ = ["Observer", "identifiable", "keep_columns", "observer", "stacked_visits", "target_rows"]
@@ -80,6 +81,8 @@ def observer(study: Study) -> Observer:
 def stacked_visits(observer: Observer, experiment: Experiment) -> Floats:
     """Blocks of visits of any layout, (V, k, p); short ones are filled up with rows of zeros."""
     model = observer.model
+    if observer.study.six_d:
+        experiment = with_turns(experiment)
     response = respond(model, experiment, model.nominal)
     free_offsets = observer.reference == "differences"
     operators = whitening(response.scene, observer.study.noise, _station(observer.study), free_offsets=free_offsets)

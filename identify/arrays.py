@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Floats", "Ints", "frozen", "rotation_of", "skew"]
+__all__ = ["Floats", "Ints", "frozen", "rotation_of", "rotation_vector", "skew"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -30,10 +30,19 @@ def skew(vectors: Floats) -> Floats:
 
 
 def rotation_of(vector: Floats) -> Floats:
-    """Rotation matrix (3, 3) of a rotation vector (3,), rad (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad (Rodrigues)."""
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     cross = skew(vector)
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
     matrix: Floats = np.eye(3) + first * cross + second * cross @ cross
     return matrix
+
+
+def rotation_vector(matrices: Floats) -> Floats:
+    """Rotation vectors (R, 3), rad, of rotation matrices (R, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    if not len(matrices):
+        return np.zeros((0, 3))
+    return np.asarray(Rotation.from_matrix(matrices).as_rotvec())

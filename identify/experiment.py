@@ -2,7 +2,7 @@
 
 A *visit* is one approach of a pose; a *shot* is one load and one repeat within a visit; a *row* is one
 marker within a shot. Pose jitter is new for each visit, reading jitter for each shot, instrument
-noise for each row.
+noise for each row. A row reads the position of its marker, or the turn of the flange if the marker is a 6-D target.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ class Experiment:
         shot_repeat: (S,) number of the repeated reading.
         row_shot: (R,) index into shots; rows of one visit stand together.
         row_marker: (R,) index into ``markers``.
+        row_turns: (R,) True for rows that read how a 6-D target is turned (a rotation vector, rad) instead of where it
+            is; None where there are no such rows.
         wrench: (S, 6) measured wrench at the attach point of the shot's load, deflected flange frame,
             N and Nm; replaces the loads where given.
         approach: (V, n) sign of the last motion of each joint, or None.
@@ -56,6 +58,7 @@ class Experiment:
     approach: Floats | None = None
     time: Floats | None = None
     temperature: Floats | None = None
+    row_turns: np.ndarray | None = None
     start: float | None = None
 
     def __post_init__(self) -> None:
@@ -65,6 +68,8 @@ class Experiment:
         for key in ("q", "wrench", "approach", "time", "temperature"):
             if getattr(self, key) is not None:
                 object.__setattr__(self, key, frozen(getattr(self, key)))
+        if self.row_turns is not None:
+            object.__setattr__(self, "row_turns", frozen(self.row_turns, bool))
         if self.start is None and self.time is not None and len(self.time):
             object.__setattr__(self, "start", float(self.time.min()))
 
@@ -80,6 +85,17 @@ class Experiment:
         return visit
 
     @property
+    def turning(self) -> np.ndarray:
+        """(R,) True for rows that read a turn."""
+        return np.zeros(len(self.row_shot), dtype=bool) if self.row_turns is None else self.row_turns
+
+    @property
+    def row_channel(self) -> Ints:
+        """(R,) what is read: the markers' positions, then their turns."""
+        channel: Ints = self.row_marker + len(self.markers.names) * self.turning
+        return channel
+
+    @property
     def shot_unloaded(self) -> np.ndarray:
         """(S,) True where nothing hangs on the flange."""
         if self.wrench is not None:
@@ -91,15 +107,23 @@ class Experiment:
         shots, row_shot = np.unique(self.row_shot[rows], return_inverse=True)
         poses, shot_pose = np.unique(self.shot_pose[shots], return_inverse=True)
         return replace(
-            self,
+            self.with_rows(rows),
             q=self.q[poses],
             shot_pose=shot_pose.ravel(),
             **{key: getattr(self, key)[shots] for key in ("shot_visit", "shot_load", "shot_repeat")},
             row_shot=row_shot.ravel(),
-            row_marker=self.row_marker[rows],
             wrench=None if self.wrench is None else self.wrench[shots],
+        )
+
+    def with_rows(self, rows: Ints) -> Experiment:
+        """The same visits and shots with other rows, each of them one of the old ones."""
+        return replace(
+            self,
+            row_shot=self.row_shot[rows],
+            row_marker=self.row_marker[rows],
             time=None if self.time is None else self.time[rows],
             temperature=None if self.temperature is None else self.temperature[rows],
+            row_turns=None if self.row_turns is None else self.row_turns[rows],
         )
 
 
@@ -122,6 +146,13 @@ class Measurements:
     quaternions: Floats | None = None
     source: str = ""
     ignored_columns: tuple[str, ...] = ()
+
+    def orientations(self, rows: np.ndarray) -> Floats:
+        """(K, 3, 3) orientations of some rows (indices or mask), in the frame of the measurements."""
+        from scipy.spatial.transform import Rotation
+
+        assert self.quaternions is not None
+        return np.asarray(Rotation.from_quat(self.quaternions[rows], scalar_first=True).as_matrix())
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""

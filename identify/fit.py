@@ -90,14 +90,14 @@ class Fit:
 
     @property
     def reading(self) -> Floats:
-        """(R, 3) readings in the base frame, m."""
+        """(R, 3) readings of positions in the base frame, m."""
         placement = self.state.base_T_measurement
         position: Floats = self.data.positions @ placement[:3, :3].T + placement[:3, 3]
         return position
 
     @property
     def residual(self) -> Floats:
-        """(R, 3) reading minus model, base frame, m."""
+        """(R, 3) reading minus model, base frame, m (rad in rows that read a turn)."""
         return self.rows.residual
 
     @property
@@ -162,7 +162,9 @@ def start(model: Model, data: Measurements, parts: tuple[Part, ...] | None = Non
         raise InputError(f"{data.source}: no rows to fit")
     placement = np.eye(4)
     if model.frame_size:
-        placement = align(data.positions, predicted(model, parts or parts_of(model, data), model.nominal))
+        places = ~data.experiment.turning
+        expected = predicted(model, parts or parts_of(model, data), model.nominal)
+        placement = align(data.positions[places], expected[places])
     return State(model.nominal, placement, np.ones(len(data.positions)))
 
 

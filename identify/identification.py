@@ -17,6 +17,7 @@ from identify.identifiability import why_not
 from identify.lack_of_fit import LackOfFit, lack_of_fit
 from identify.model import Model, model_of
 from identify.selection import load_changes, rows_of_visits, take_rows
+from identify.six_d import facing, positions_only, with_turns_read
 from identify.study import Study
 from identify.tails import norm_ppf, student_ppf
 from identify.threads import one_thread
@@ -70,7 +71,7 @@ class Identification:
 
     Attributes:
         study: The study.
-        data: The readings.
+        data: The readings; where orientations count, each is a row of its own behind that of its position.
         fit: The fit of the parameters.
         values: (p,) all parameters in their units; frame values are those of ``base_T_measurement``.
         kept: (m,) indices of the identified parameters; under ``differences`` frame and markers come from the
@@ -83,6 +84,7 @@ class Identification:
         worst: Rows that do not fit, worst first.
         heldout: Misfit on held-out visits, None below 10 visits.
         notes: What the user should know.
+        mounts: (M, 3, 3) flange_R_target, where orientations count; how far off it is are parameters.
     """
 
     study: Study
@@ -98,6 +100,7 @@ class Identification:
     worst: np.ndarray
     heldout: Heldout | None
     notes: tuple[str, ...]
+    mounts: Floats | None = None
 
     @property
     def model(self) -> Model:
@@ -112,20 +115,27 @@ class Identification:
 
     @property
     def residuals(self) -> Floats:
-        """(R, 3) reading minus model in the base frame, m."""
-        return self.fit.residual
+        """(R, 3) reading minus model in the base frame, m, of the positions read."""
+        residual: Floats = self.fit.residual[~self.data.experiment.turning]
+        return residual
+
+    @property
+    def turn_residuals(self) -> Floats:
+        """(K, 3) turn from model to reading in the base frame, rad, of the orientations that count."""
+        residual: Floats = self.fit.residual[self.data.experiment.turning]
+        return residual
 
     @property
     def misfit(self) -> Misfit:
-        """Errors after the fit, all rows."""
+        """Errors of positions after the fit, all rows."""
         return misfit_of(self.data, self.fit.residual, self.reference, np.arange(len(self.fit.residual)))
 
     @property
     def deflection(self) -> tuple[Misfit, Misfit]:
         """Measured deflection and what the model leaves of it, without `worst`; empty without loads."""
-        rows = np.setdiff1d(np.arange(len(self.residuals)), self.worst)
+        rows = np.setdiff1d(np.arange(len(self.fit.residual)), self.worst)
         before = misfit_of(self.data, self.fit.reading, "differences", rows)
-        return before, misfit_of(self.data, self.residuals, "differences", rows)
+        return before, misfit_of(self.data, self.fit.residual, "differences", rows)
 
     @property
     def compensated_percent(self) -> float | None:
@@ -155,6 +165,7 @@ def identify(study: Study, data: Measurements, *, seed: int = 0, found: Fit | No
 
 
 def _identify(study: Study, data: Measurements, seed: int, known: Fit | None) -> Identification:
+    study, data, mounts = _with_orientations(study, data)
     model = model_of(study) if known is None else known.model
     found, reference, notes = _choose_reference(study, model, data) if known is None else _as_it_is(known)
     _check_enough(found)
@@ -181,7 +192,16 @@ def _identify(study: Study, data: Measurements, seed: int, known: Fit | None) ->
         worst=worst,
         heldout=heldout,
         notes=notes,
+        mounts=mounts,
     )
+
+
+def _with_orientations(study: Study, data: Measurements) -> tuple[Study, Measurements, Floats | None]:
+    """Rows for the orientations of 6-D targets, if the data have them and the study says how good they are."""
+    if not study.six_d or data.quaternions is None:
+        return positions_only(study), data, None
+    model, data = model_of(study), data if data.experiment.row_turns is not None else with_turns_read(data)
+    return study, *facing(model, data, start(model, data).base_T_measurement)
 
 
 def _as_it_is(found: Fit) -> tuple[Fit, Literal["absolute", "differences"], tuple[str, ...]]:
@@ -221,7 +241,7 @@ def _is_rejected(found: Fit) -> bool:
 def _compares_loads(data: Measurements) -> bool:
     """True if some marker is read more than once in one visit, so that changes exist."""
     experiment = data.experiment
-    key = experiment.row_visit * len(experiment.markers.names) + experiment.row_marker
+    key = experiment.row_visit * 2 * len(experiment.markers.names) + experiment.row_channel
     return len(np.unique(key)) < len(key)
 
 
@@ -318,15 +338,16 @@ def _notes(found: Fit, kind: str, lack: LackOfFit, worst: np.ndarray) -> tuple[s
             f"chi2 {lack.chi2:.4g} with {lack.dof} degrees of freedom rejects model or stated noise; "
             "intervals come from the scatter between poses"
         )
-    if found.data.quaternions is not None:
-        notes.append("orientations are not used; the fit rests on positions")
+    if found.data.quaternions is not None and found.data.experiment.row_turns is None:
+        notes.append("orientations are not used, [noise] orientation_urad is not stated; the fit rests on positions")
     if len(worst):
         notes.append(f"{len(worst)} rows do not fit and have little influence; see worst")
     return tuple(notes)
 
 
 def misfit_of(data: Measurements, residual: Floats, reference: str, rows: Ints) -> Misfit:
-    """Errors of some rows (ascending): positions, or changes under load."""
+    """Errors of some rows (ascending) that read positions: of these, or of their changes under load."""
+    rows = rows[~data.experiment.turning[rows]]
     if reference == "absolute":
         return Misfit(residual[rows], rows)
     error, index = load_changes(take_rows(data, rows).experiment, residual[rows])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identify.arrays import Floats, Ints
+from identify.arrays import Floats, Ints, rotation_vector
 from identify.effects import Effect, Fields, Scene, SpringSet
 from identify.elastic_chain import chain_index, deflect
 from identify.errors import NoConvergence
@@ -36,7 +36,7 @@ class LoadedScene(Scene):
     """A scene in equilibrium. Its fields of springs are exact there: a compliance moves markers by motion times torque.
 
     Attributes:
-        moved: (R, 3) displacement of the markers by all springs, m.
+        moved: (R, 3) displacement of the markers by all springs, m (of turns: rotation vectors, rad).
         exact: Fields of each set of springs on the deflected arm. ``motion`` is how a marker moves if a spring yields
             by one unit more and all others follow, ``D (1 - C H)^-1``.
         iterations: Newton steps taken.
@@ -144,21 +144,21 @@ def load_scene(scene: Scene, compliance: Floats, active: Ints, *, tolerance: flo
     experiment, robot = scene.experiment, scene.frames.robot
     load, q = _loads(experiment, robot), experiment.q[experiment.shot_pose]
     shots = len(q)
-    points = np.empty((shots, len(experiment.markers.names), 3))
+    points = np.empty((shots, len(experiment.markers.names) + 1, 3))
     moves = np.empty((*points.shape[:2], len(active), 3))
     torque = np.empty((shots, len(active)))
     iterations = 0
     for start in range(0, shots, _CHUNK):
         part = slice(start, start + _CHUNK)
         state, steps = _settle(scene, load.part(part), q[part], compliance, active, tolerance)
-        points[part], torque[part] = _points(scene, state.frames), state.torque
-        moves[part] = _following(scene, state, points[part], compliance)
+        points[part, :-1], torque[part] = _points(scene, state.frames), state.torque
+        points[part, -1] = _turn(scene, state.frames, experiment.shot_pose[part])
+        moves[part] = _following(scene, state, points[part, :-1], compliance)
         iterations = max(iterations, steps)
-    rows, marker = experiment.row_shot, experiment.row_marker
+    rows, marker = experiment.row_shot, np.where(scene.turning, -1, experiment.row_marker)
     exact = _sets(robot.n, active, moves[rows, marker], torque)
-    return LoadedScene(
-        experiment, scene.frames, scene.marker, scene.self_weight, points[rows, marker] - scene.point, exact, iterations
-    )
+    moved = points[rows, marker] - np.where(scene.turning[:, None], 0.0, scene.point)
+    return LoadedScene(experiment, scene.frames, scene.marker, scene.self_weight, moved, exact, iterations)
 
 
 def _settle(
@@ -243,10 +243,20 @@ def _points(scene: Scene, frames: Frames) -> Floats:
     return points
 
 
+def _turn(scene: Scene, frames: Frames, pose: Ints) -> Floats:
+    """(S, 3) how the flange is turned against the undeflected one, rad; zero where no row asks for it."""
+    if scene.experiment.row_turns is None:
+        return np.zeros_like(frames.flange_origin)
+    return rotation_vector(frames.flange_rotation @ scene.frames.flange_rotation[pose].swapaxes(1, 2))
+
+
 def _following(scene: Scene, state: _State, points: Floats, compliance: Floats) -> Floats:
-    """``D (1 - C H)^-1``, (S, M, a, 3)."""
-    direct = motion(state.springs, points)
+    """``D (1 - C H)^-1`` of markers (S, M, 3), then of the turn of the flange, (S, M + 1, a, 3)."""
+    springs = state.springs
+    direct = motion(springs, points)
     direct[:, scene.experiment.markers.on_base] = 0.0
+    turning = np.where(springs.slides[:, None], 0.0, springs.axis)
+    direct = np.concatenate([direct, turning[:, None]], axis=1)
     count, markers, active, _ = direct.shape
     rows = direct.transpose(0, 2, 1, 3).reshape(count, active, 3 * markers)
     system = np.eye(active) - (compliance @ state.slope).swapaxes(1, 2)

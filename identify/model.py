@@ -17,7 +17,7 @@ from identify.units import MM, MRAD
 
 __all__ = ["Model", "effects_of", "model_of", "with_effect", "without_nuisance"]
 
-_MARKER_LIMIT = 5.0  # mm; markers are better known than this without any fit
+_MARKER_LIMIT = 5.0  # mm or mrad; markers are better known than this without any fit
 _FRAME = (*((axis, "mm", MM) for axis in "xyz"), *((f"r{axis}", "mrad", MRAD) for axis in "xyz"))
 
 
@@ -28,9 +28,10 @@ class Model:
     Attributes:
         robot: The nominal robot.
         effects: Effects bound to it.
-        parameters: All p parameters: frame, markers, then the effects' in their order.
+        parameters: All p parameters: frame, markers, turns of markers, then the effects' in their order.
         frame_size: Number of frame parameters (6 or 0).
         marker_size: Number of marker parameters (3 a marker or 0).
+        turn_size: Number of parameters of how 6-D targets sit on the flange (3 a marker of the flange or 0).
         self_weight: The weight of links and tool is counted.
         loaded: Torques are taken on the deflected arm (`identify.loaded_scene`), else on the undeflected one. Effects
             that are no pairs of springs are of first order in both.
@@ -43,6 +44,12 @@ class Model:
     marker_size: int
     self_weight: bool
     loaded: bool = False
+    turn_size: int = 0
+
+    @property
+    def nuisance_size(self) -> int:
+        """Number of parameters before those of the effects."""
+        return self.frame_size + self.marker_size + self.turn_size
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -71,7 +78,7 @@ class Model:
     def effect_slices(self) -> tuple[slice, ...]:
         """Where each effect's parameters stand."""
         sizes = [len(effect.parameters) for effect in self.effects]
-        ends = self.frame_size + self.marker_size + np.cumsum(sizes)
+        ends = self.nuisance_size + np.cumsum(sizes)
         return tuple(slice(int(end) - size, int(end)) for end, size in zip(ends, sizes, strict=True))
 
     @cached_property
@@ -99,12 +106,14 @@ def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapp
     bound = effects_of(study, names)
     frame = _frame_parameters() if study.frame_free else ()
     markers = _marker_parameters(study) if study.markers_fitted else ()
-    parameters = (*frame, *markers, *(parameter for effect in bound for parameter in effect.parameters))
+    turns = _turn_parameters(study) if study.markers_fitted and study.six_d else ()
+    parameters = (*frame, *markers, *turns, *(parameter for effect in bound for parameter in effect.parameters))
     given = study.nominal if nominal is None else nominal
     _check_names(given, parameters)
     parameters = tuple(replace(p, nominal=float(given.get(p.name, p.nominal))) for p in parameters)
     loaded = study.equilibrium == "loaded"
-    return Model(study.robot, bound, parameters, len(frame), len(markers), study.robot.masses_known, loaded)
+    known = study.robot.masses_known
+    return Model(study.robot, bound, parameters, len(frame), len(markers), known, loaded, len(turns))
 
 
 def effects_of(study: Study, names: tuple[str, ...], others: tuple[Effect, ...] = ()) -> tuple[Effect, ...]:
@@ -132,7 +141,7 @@ def effects_of(study: Study, names: tuple[str, ...], others: tuple[Effect, ...] 
 def without_nuisance(model: Model) -> Model:
     """The same effects with frame and markers taken as known."""
     parameters = tuple(parameter for parameter in model.parameters if not parameter.nuisance)
-    return replace(model, parameters=parameters, frame_size=0, marker_size=0)
+    return replace(model, parameters=parameters, frame_size=0, marker_size=0, turn_size=0)
 
 
 def with_effect(model: Model, effect: Effect) -> Model:
@@ -160,5 +169,15 @@ def _marker_parameters(study: Study) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(f"marker.{name}.{axis}", "mm", MM, nuisance=True, limit=_MARKER_LIMIT)
         for name in study.markers.names
+        for axis in "xyz"
+    )
+
+
+def _turn_parameters(study: Study) -> tuple[Parameter, ...]:
+    """Correction of how every 6-D target is turned, about the axes of the flange."""
+    on_flange = [name for name, fixed in zip(study.markers.names, study.markers.on_base, strict=True) if not fixed]
+    return tuple(
+        Parameter(f"marker.{name}.r{axis}", "mrad", MRAD, nuisance=True, limit=_MARKER_LIMIT)
+        for name in on_flange
         for axis in "xyz"
     )

@@ -22,7 +22,7 @@ from identify.effects import Scene
 from identify.experiment import Experiment
 from identify.study import Noise
 
-__all__ = ["Whitening", "instrument_covariance", "joined", "whitening"]
+__all__ = ["Whitening", "instrument_covariance", "joined", "reading_covariance", "whitening"]
 
 _NEGLIGIBLE = 1e-10  # a column that the free offsets cancel to this share is zero
 _MANY, _SMALL = 64, 48  # matrices, and their size, from where one by one is slower
@@ -129,6 +129,21 @@ def instrument_covariance(noise: Noise, points: Floats, station: Floats) -> Floa
     return covariance
 
 
+def reading_covariance(noise: Noise, experiment: Experiment, points: Floats, station: Floats) -> Floats:
+    """Covariance of the instrument in each row of an experiment, (R, 3, 3), m^2, or rad^2 where a turn is read.
+
+    Args:
+        noise: The noise.
+        experiment: The rows.
+        points: (R, 3) base frame, m.
+        station: (3,) the instrument in the base frame, m.
+    """
+    covariance = instrument_covariance(noise, points, station)
+    if experiment.row_turns is None:
+        return covariance
+    return np.where(experiment.row_turns[:, None, None], noise.orientation**2 * np.eye(3), covariance)
+
+
 def whitening(
     scene: Scene, noise: Noise, station: Floats, *, free_offsets: bool, weights: Floats | None = None
 ) -> Whitening:
@@ -143,7 +158,7 @@ def whitening(
     """
     experiment = scene.experiment
     weights = np.ones(len(scene.point)) if weights is None else weights
-    covariance = instrument_covariance(noise, scene.point, station) / weights[:, None, None]
+    covariance = reading_covariance(noise, scene.experiment, scene.point, station) / weights[:, None, None]
     groups = []
     for rows, layout in _layouts(experiment):
         plain = (weights[rows] == 1.0).all(axis=1)
@@ -157,15 +172,16 @@ def whitening(
 
 
 def _layouts(experiment: Experiment) -> Iterator[tuple[Ints, Ints]]:
-    """Visits grouped by layout: rows (G, m) and the local shot and marker of each of the m rows, (m, 2)."""
+    """Visits grouped by layout: rows (G, m) and the local shot and what is read in each of the m rows, (m, 2)."""
     visit = experiment.row_visit
+    channel = experiment.row_channel
     starts = np.flatnonzero(np.diff(visit, prepend=-1))
     sizes = np.diff(starts, append=len(visit))
     for size in np.unique(sizes):
         rows = starts[sizes == size][:, None] + np.arange(size)
         shot = experiment.row_shot[rows]
         local = np.cumsum(np.diff(shot, axis=1, prepend=shot[:, :1]) != 0, axis=1)
-        keys = np.concatenate([local, experiment.row_marker[rows]], axis=1)
+        keys = np.concatenate([local, channel[rows]], axis=1)
         if (keys == keys[0]).all():
             yield rows, keys[0].reshape(2, size).T
             continue

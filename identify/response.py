@@ -38,12 +38,14 @@ class Response:
 
     Attributes:
         scene: The fields it was computed from.
-        position: (R, 3) readings in the base frame (displaced by the frame parameters), m.
-        deflection: (R, 3) the elastic and other displacement contained in it, m.
-        derivative: (R, 3, p) m per unit of each parameter; (R, 3, 0) if not asked for. Columns behind the last one
-            that is wanted may be left out.
+        position: (R, 3) readings in the base frame (displaced by the frame parameters), m; of no meaning for rows that
+            read a turn.
+        deflection: (R, 3) the elastic and other displacement contained in it, m (rotation vectors, rad, in such rows).
+        derivative: (R, 3, p) m or rad per unit of each parameter; (R, 3, 0) if not asked for. Columns behind the last
+            one that is wanted may be left out.
         direct: The same without the part that works through the deflection (geometry and markers bend it); rank is
             decided on these columns, so that nothing counts as known through its second-order trace alone.
+        turned: (K, 3, 3) orientations of the 6-D targets in the K rows that read a turn, base frame.
     """
 
     scene: Scene
@@ -51,6 +53,7 @@ class Response:
     deflection: Floats
     derivative: Floats
     direct: Floats
+    turned: Floats
 
 
 def respond(
@@ -78,9 +81,10 @@ def respond(
     scene, deflection = deflected(model, experiment, values, known=known)
     turn, shift = frame_displacement(model, values)
     position = (scene.point + deflection) @ turn.T + shift
+    turned = _turned(model, scene, deflection, values)
     if not derivative:
         nothing = np.zeros((*position.shape, 0))
-        return Response(scene, position, deflection, nothing, nothing)
+        return Response(scene, position, deflection, nothing, nothing, turned)
     direct = _derivative(model, scene, scene.point @ turn.T + shift, values, wanted)
     for column, part in through_columns(model, experiment, values, wanted):
         direct[:, :, column] = part
@@ -88,8 +92,8 @@ def respond(
     if bending and deflection.any():
         columns = _with_bending(direct, model, experiment, values, scene, deflection, wanted)
     if model.frame_size and columns is not direct:
-        columns[:, :, 3:6] = -MRAD * skew(position)
-    return Response(scene, position, deflection, columns, direct)
+        columns[:, :, 3:6] = _frame_turn(scene, position)
+    return Response(scene, position, deflection, columns, direct, turned)
 
 
 def deflected(
@@ -199,7 +203,7 @@ def _marker_bending(model: Model, experiment: Experiment, values: Floats, scene:
     """(R, 3, 3) change of the deflection of each row by the three coordinates of its marker, m per mm."""
     twists, change = _twists(model, scene, values), np.zeros((*deflection.shape, 3))
     if twists is not None:
-        change += skew(twists[:, 3:])[experiment.row_shot] @ _marker_turn(scene)
+        change += skew(twists[:, 3:])[experiment.row_shot] @ _marker_turn(scene)  # nothing where a turn is read
         change[scene.on_base] = 0.0
     if all(_is_rigid(model, effect) for effect in model.effects):
         return change
@@ -287,10 +291,21 @@ def _derivative(model: Model, scene: Scene, position: Floats, values: Floats, wa
     columns = effect_columns(model, scene, values, wanted)
     if model.frame_size:
         columns[:, :, :3] = MM * np.eye(3)
-        columns[:, :, 3:6] = -MRAD * skew(position)
+        columns[:, :, 3:6] = _frame_turn(scene, position)
+        columns[scene.turning, :, :3] = 0.0
     if model.marker_size:
         markers = slice(model.frame_size, model.frame_size + model.marker_size)
         columns[:, :, markers] = _by_marker(scene, _marker_turn(scene))
+    if model.turn_size:
+        turns = slice(model.nuisance_size - model.turn_size, model.nuisance_size)
+        columns[:, :, turns] = _by_marker(scene, _target_turn(scene))[:, :, : model.turn_size]
+    return columns
+
+
+def _frame_turn(scene: Scene, position: Floats) -> Floats:
+    """(R, 3, 3) motion of what rows read by a turn of the base, m or rad per mrad."""
+    columns = -MRAD * skew(position)
+    columns[scene.turning] = MRAD * np.eye(3)
     return columns
 
 
@@ -318,18 +333,36 @@ def _leading(model: Model, wanted: np.ndarray | None, asked: list[bool]) -> int:
     if wanted is None:
         return len(model.parameters)
     ends = [int(inputs.max(initial=-1)) + 1 for inputs in compress(model.effect_inputs, asked)]
-    return max(model.frame_size + model.marker_size, *ends, int(np.flatnonzero(wanted).max(initial=-1)) + 1)
+    return max(model.nuisance_size, *ends, int(np.flatnonzero(wanted).max(initial=-1)) + 1)
 
 
 def _marker_turn(scene: Scene) -> Floats:
     """(R, 3, 3) motion of each row by its own marker's coordinates, m per mm; what is on the base is not turned."""
     turn: Floats = MM * scene.frames.flange_rotation[scene.row_pose]
     turn[scene.on_base] = MM * np.eye(3)
+    turn[scene.turning] = 0.0
     return turn
 
 
+def _target_turn(scene: Scene) -> Floats:
+    """(R, 3, 3) turn of each row by how its own target sits on the flange, rad per mrad; zero for positions."""
+    turn: Floats = MRAD * scene.frames.flange_rotation[scene.row_pose]
+    turn[~scene.turning] = 0.0
+    return turn
+
+
+def _turned(model: Model, scene: Scene, deflection: Floats, values: Floats) -> Floats:
+    """(K, 3, 3) orientations of the targets in the rows that read a turn, base frame."""
+    rows = np.flatnonzero(scene.turning)
+    flange = scene.frames.flange_rotation[scene.row_pose[rows]]
+    if model.turn_size:
+        sizes = MRAD * values[model.nuisance_size - model.turn_size : model.nuisance_size].reshape(-1, 3)
+        flange = flange @ rotation_of(sizes)[scene.experiment.row_marker[rows]]
+    return np.asarray(frame_displacement(model, values)[0] @ rotation_of(deflection[rows]) @ flange)
+
+
 def _by_marker(scene: Scene, change: Floats) -> Floats:
-    """Columns (R, 3, 3 M) of what each row does (R, 3, 3) by the coordinates of its own marker."""
+    """Columns (R, 3, 3 M) of what each row does (R, 3, 3) by three numbers of its own marker."""
     columns = np.zeros((len(change), 3, len(scene.experiment.markers.names), 3))
     columns[np.arange(len(change)), :, scene.experiment.row_marker] = change
     return columns.reshape(len(change), 3, -1)

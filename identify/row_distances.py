@@ -68,7 +68,7 @@ def one_of_two(experiment: Experiment, residual: Floats, z: Floats, limit: float
     if not (z > limit).any():
         return z
     z = z.copy()
-    key = experiment.row_visit * len(experiment.markers.names) + experiment.row_marker
+    key = experiment.row_visit * 2 * len(experiment.markers.names) + experiment.row_channel
     group = np.unique(key, return_inverse=True)[1]
     contradict = (np.bincount(group) == 2) & (np.bincount(group, z > limit) == 2)
     rows = np.flatnonzero(contradict[group])

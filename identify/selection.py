@@ -19,17 +19,14 @@ def rows_of_visits(experiment: Experiment, visits: np.ndarray) -> Ints:
 
 def take_rows(data: Measurements, rows: Ints) -> Measurements:
     """The measurements of some rows (ascending); visits, shots and loads keep their numbers."""
-    experiment = data.experiment
-    part = replace(
-        experiment,
-        row_shot=experiment.row_shot[rows],
-        row_marker=experiment.row_marker[rows],
-        time=None if experiment.time is None else experiment.time[rows],
-        temperature=None if experiment.temperature is None else experiment.temperature[rows],
-    )
+    return _numbers_of(data, rows, data.experiment.with_rows(rows))
+
+
+def _numbers_of(data: Measurements, rows: Ints, experiment: Experiment) -> Measurements:
+    """The numbers that were read in some rows, under the conditions of an experiment."""
     quaternions = None if data.quaternions is None else data.quaternions[rows]
     return replace(
-        data, experiment=part, positions=data.positions[rows], lines=data.lines[rows], quaternions=quaternions
+        data, experiment=experiment, positions=data.positions[rows], lines=data.lines[rows], quaternions=quaternions
     )
 
 
@@ -55,7 +52,7 @@ def load_changes(experiment: Experiment, rows: Floats) -> tuple[Floats, Ints]:
     Returns:
         (K, 3) changes and their (K,) rows: loaded ones that have something to be compared with.
     """
-    key = experiment.row_visit * len(experiment.markers.names) + experiment.row_marker
+    key = experiment.row_visit * 2 * len(experiment.markers.names) + experiment.row_channel
     _, group = np.unique(key, return_inverse=True)
     unloaded = experiment.shot_unloaded[experiment.row_shot]
     count = group.max(initial=-1) + 1
@@ -75,7 +72,7 @@ def only_visit(data: Measurements, visit: int) -> Measurements:
     shots, row_shot = np.unique(experiment.row_shot[rows], return_inverse=True)
     poses, shot_pose = np.unique(experiment.shot_pose[shots], return_inverse=True)
     part = replace(
-        experiment,
+        experiment.with_rows(rows),
         visits=(experiment.visits[visit],),
         q=experiment.q[poses],
         shot_visit=np.zeros(len(shots), dtype=np.int64),
@@ -83,13 +80,7 @@ def only_visit(data: Measurements, visit: int) -> Measurements:
         shot_load=experiment.shot_load[shots],
         shot_repeat=experiment.shot_repeat[shots],
         row_shot=row_shot,
-        row_marker=experiment.row_marker[rows],
         wrench=None if experiment.wrench is None else experiment.wrench[shots],
         approach=None if experiment.approach is None else experiment.approach[[visit]],
-        time=None if experiment.time is None else experiment.time[rows],
-        temperature=None if experiment.temperature is None else experiment.temperature[rows],
     )
-    quaternions = None if data.quaternions is None else data.quaternions[rows]
-    return replace(
-        data, experiment=part, positions=data.positions[rows], lines=data.lines[rows], quaternions=quaternions
-    )
+    return _numbers_of(data, rows, part)

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from identify.alignment import inverse
-from identify.arrays import Floats
+from identify.arrays import Floats, rotation_of
 from identify.experiment import Experiment, Measurements
 from identify.model import Model
-from identify.noise import instrument_covariance
+from identify.noise import reading_covariance
 from identify.response import respond
+from identify.six_d import as_read, with_turns
 from identify.study import Noise
 
 __all__ = ["default_placement", "simulate"]
@@ -34,16 +35,23 @@ def simulate(
         noise: The true noise.
         base_T_measurement: (4, 4) placement of the measurement frame.
         rng: Random numbers: pose jitter, reading jitter, instrument noise, in this order.
+
+    Returns:
+        Positions, and orientations where the noise of 6-D targets is stated (markers on the base have none).
     """
     respond_to = _jittered(experiment, noise, rng)
-    position = respond(model, respond_to, values, derivative=False).position
-    covariance = instrument_covariance(noise, position, base_T_measurement[:3, 3])
-    draws = rng.standard_normal(position.shape)
-    read = position + np.einsum("rij,rj->ri", np.linalg.cholesky(covariance), draws)
-    back = inverse(base_T_measurement)
-    return Measurements(
-        experiment, read @ back[:3, :3].T + back[:3, 3], np.arange(2, len(read) + 2), source="simulation"
-    )
+    if noise.orientation > 0:
+        respond_to = with_turns(respond_to)
+    response = respond(model, respond_to, values, derivative=False)
+    position, turning = response.position, respond_to.turning
+    covariance = reading_covariance(noise, respond_to, position, base_T_measurement[:3, 3])
+    errors = np.einsum("rij,rj->ri", np.linalg.cholesky(covariance), rng.standard_normal(position.shape))
+    back, quaternions = inverse(base_T_measurement), None
+    read = (position + errors) @ back[:3, :3].T + back[:3, 3]
+    if noise.orientation > 0:
+        turned = back[:3, :3] @ rotation_of(errors[turning]) @ response.turned
+        _, read, quaternions = as_read(respond_to, read, turned)
+    return Measurements(experiment, read, np.arange(2, len(read) + 2), quaternions, source="simulation")
 
 
 def _jittered(experiment: Experiment, noise: Noise, rng: np.random.Generator) -> Experiment:

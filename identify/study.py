@@ -51,7 +51,7 @@ class Noise:
         tracker: Range-dependent noise instead of ``reading``.
         pose_jitter: Per joint, new for each visit, rad (m for a sliding joint).
         reading_jitter: Per joint, new for each shot, rad (m for a sliding joint).
-        orientation: Of a 6-D target, rad per axis.
+        orientation: Of a 6-D target, rad per axis; 0: only positions are read.
     """
 
     reading: float = 0.0
@@ -224,6 +224,11 @@ class Study:
     def joint_units(self) -> np.ndarray:
         """(n,) SI value of one file unit of each joint: deg, or mm where it slides."""
         return np.where(self.robot.prismatic, MM, DEG)
+
+    @property
+    def six_d(self) -> bool:
+        """True if markers on the flange are 6-D targets, whose orientation is read too."""
+        return self.noise.orientation > 0
 
     def load_index(self, name: str) -> int:
         """Index of a load by its id (the caller has checked that it exists)."""

@@ -20,7 +20,7 @@ from identify.identification import Identification, Misfit
 from identify.model import Model, model_of
 from identify.response import marker_positions, respond
 from identify.study import Study
-from identify.units import MM
+from identify.units import MM, MRAD
 
 __all__ = ["Fitted", "identification_json", "load_fitted", "predict"]
 
@@ -57,6 +57,7 @@ def identification_json(result: Identification) -> dict[str, Any]:
         "p_value": result.lack_of_fit.p_value,
         "robust_scale": found.scale,
         "residual": {"rms_mm": result.misfit.rms / MM, "max_mm": result.misfit.maximum / MM, **_by(result)},
+        "orientation": _orientation(result),
         "heldout": None
         if heldout is None
         else {
@@ -69,6 +70,18 @@ def identification_json(result: Identification) -> dict[str, Any]:
         "worst": [_bad_row(result, int(row)) for row in result.worst],
         "ignored_columns": list(data.ignored_columns),
         "notes": list(result.notes),
+    }
+
+
+def _orientation(result: Identification) -> dict[str, Any] | None:
+    """Errors of the orientations of 6-D targets, and how these sit on the flange; None where they do not count."""
+    if result.mounts is None:
+        return None
+    errors = np.linalg.norm(result.turn_residuals, axis=1) / MRAD
+    return {
+        "rms_mrad": float(np.sqrt((errors**2).mean())),
+        "max_mrad": float(errors.max()),
+        "flange_R_target": dict(zip(result.study.markers.names, result.mounts, strict=True)),
     }
 
 
@@ -130,6 +143,7 @@ def _by(result: Identification) -> dict[str, Any]:
 def _bad_row(result: Identification, row: int) -> dict[str, Any]:
     experiment = result.data.experiment
     shot = experiment.row_shot[row]
+    size, turns = float(np.linalg.norm(result.fit.residual[row])), bool(experiment.turning[row])
     return {
         "line": int(result.data.lines[row]),
         "pose": experiment.visits[experiment.shot_visit[shot]],
@@ -137,7 +151,8 @@ def _bad_row(result: Identification, row: int) -> dict[str, Any]:
         "marker": experiment.markers.names[experiment.row_marker[row]],
         "repeat": int(experiment.shot_repeat[shot]),
         "z": float(result.fit.z[row] / result.fit.scale),
-        "error_mm": float(np.linalg.norm(result.fit.residual[row]) / MM),
+        "error_mm": None if turns else size / MM,
+        **({"orientation_error_mrad": size / MRAD} if turns else {}),
     }
 
 

@@ -96,7 +96,7 @@ def _change(found: Fit, index: int, load: LoadCase) -> Floats:
     experiment = found.data.experiment
     loads = (*experiment.loads[:index], load, *experiment.loads[index + 1 :])
     other = respond(found.model, replace(experiment, loads=loads), found.state.values, derivative=False)
-    moved: Floats = other.position - (found.reading - found.residual)
+    moved: Floats = other.deflection - found.response.deflection
     return moved
 
 

@@ -15,12 +15,12 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from identify.arrays import Floats, Ints
+from identify.arrays import Floats, Ints, rotation_vector
 from identify.effects import Scene
 from identify.experiment import Measurements
 from identify.identifiability import triangle
 from identify.model import Model
-from identify.noise import Whitening, instrument_covariance, joined, whitening
+from identify.noise import Whitening, joined, reading_covariance, whitening
 from identify.response import Response, respond, undeflected
 from identify.row_distances import row_distances
 from identify.selection import take_rows
@@ -158,7 +158,7 @@ class Rows:
     Attributes:
         problem: The problem.
         state: The state.
-        residual: (R, 3) reading minus model, base frame, m.
+        residual: (R, 3) reading minus model, base frame, m (rad where a turn is read).
         point: (R, 3) undeflected markers, base frame, m.
         operators: The whitening of each part.
         whitened: (K,) whitened residual.
@@ -186,11 +186,10 @@ class Rows:
         noise, at = self.problem.noise, station(self.problem.noise, self.state.base_T_measurement)
 
         def distances(index: int) -> Floats:
-            rows = self.problem.parts[index].rows
-            own = instrument_covariance(noise, self.point[rows], at)
-            return row_distances(
-                self.operators[index], self.whitened[self.slices[index]], own, self.state.weights[rows]
-            )
+            part = self.problem.parts[index]
+            own = reading_covariance(noise, part.data.experiment, self.point[part.rows], at)
+            whitened, weights = self.whitened[self.slices[index]], self.state.weights[part.rows]
+            return row_distances(self.operators[index], whitened, own, weights)
 
         return np.concatenate(_each(range(len(self.operators)), distances))
 
@@ -297,9 +296,13 @@ def _response(problem: Problem, part: Part, state: State, *, columns: bool = Tru
 
 
 def _residual(part: Part, state: State, response: Response) -> Floats:
-    """(R_i, 3) reading minus model, base frame, m."""
+    """(R_i, 3) reading minus model, base frame, m; the turn from model to reading, rad, where a turn is read."""
     placement = state.base_T_measurement
     residual: Floats = part.data.positions @ placement[:3, :3].T + placement[:3, 3] - response.position
+    if len(response.turned):
+        rows = part.data.experiment.turning
+        read = placement[:3, :3] @ part.data.orientations(rows)
+        residual[rows] = rotation_vector(read @ response.turned.swapaxes(1, 2))
     return residual
 
 

@@ -25,6 +25,7 @@ from identify.identification import Identification, fit_differences, identify
 from identify.lack_of_fit import LackOfFit, lack_of_fit
 from identify.model import model_of
 from identify.selection import distinct_rows, load_changes, take_rows
+from identify.six_d import positions_only
 from identify.study import Study
 from identify.threads import one_thread
 
@@ -142,8 +143,10 @@ def diagnose(study: Study, data: Measurements, *, seed: int = 0, without: frozen
     """
     with one_thread():
         data, copies = _without_copies(data)
+        unread = () if data.quaternions is None else ("orientations of 6-D targets are not looked at",)
+        study, data = positions_only(study), replace(data, quaternions=None)
         study, notes = _with_reference(study, data)
-        notes = (*copies, *notes)
+        notes = (*copies, *unread, *notes)
         rules = _Rules(study.reference == "differences", seed, without)
         _check_enough(study, data)
         wrong = faults(_robust(study, data, rules), study.noise, limit=_FIRST)

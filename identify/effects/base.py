@@ -106,7 +106,8 @@ class Fields:
     """The two fields of a set of springs, base frame.
 
     Attributes:
-        motion: (R, s, 3) motion of each row's marker per unit of each spring; zero for targets on the base.
+        motion: (R, s, 3) motion of each row's marker per unit of each spring (its turn, where the row reads that); zero
+            for targets on the base.
         torque: (S, s) torque or force that load and self-weight put on each spring in each shot.
     """
 
@@ -213,11 +214,18 @@ class Scene:
         return twists
 
     def carried(self, twists: Floats) -> Floats:
-        """(R, 3) what twists (S, 6) of the flange (`identify.springs.screws`) do to the undeflected markers, m."""
+        """(R, 3) what twists (S, 6) of the flange (`identify.springs.screws`) do to what rows read, m or rad."""
         experiment = self.experiment
         moved = carry(twists[experiment.row_shot, :, None], self.point[:, None])[:, 0, :, 0]
+        if experiment.row_turns is not None:
+            moved[self.turning] = twists[experiment.row_shot[self.turning], 3:]
         moved[self.on_base] = 0.0
         return moved
+
+    @property
+    def turning(self) -> np.ndarray:
+        """(R,) True for rows that read how the flange is turned; all that displaces them is a rotation vector, rad."""
+        return self.experiment.turning
 
     @property
     def on_base(self) -> np.ndarray:
@@ -250,7 +258,10 @@ class Scene:
         every, torque = self._loaded(name)
         moves = carry(every, self.marker)
         moves[:, self.experiment.markers.on_base] = 0.0
-        return Fields(moves[self.row_pose, self.experiment.row_marker].swapaxes(1, 2), torque)
+        rows = moves[self.row_pose, self.experiment.row_marker]
+        if self.experiment.row_turns is not None:
+            rows[self.turning] = every[self.row_pose[self.turning], 3:]
+        return Fields(rows.swapaxes(1, 2), torque)
 
 
 Displacement = Callable[[Scene, Floats], Floats]
@@ -263,8 +274,8 @@ class Effect:
     Attributes:
         name: Its name in study files.
         parameters: Its p unknowns.
-        displacement: ``(scene, values) -> (R, 3)`` m, base frame; values in the parameters' units, followed by the
-            values of the b borrowed ones.
+        displacement: ``(scene, values) -> (R, 3)`` m (rad for rows that read a turn), base frame; values in the
+            parameters' units, followed by the values of the b borrowed ones.
         derivative: ``(scene, values) -> (R, 3, p + b)`` m per unit; the last b add to the columns of their owners.
         yields: True if it answers to loads (only then do differences between loads show it).
         of_reading: True if it displaces what is read and not the arm (instrument, reflectors): of no concern to the

@@ -78,13 +78,14 @@ def geometry(binding: Binding) -> Effect:
         columns = np.empty((len(scene.point), 3, len(steps)))
         column = 0
         pose = scene.row_pose
-        fixed = scene.experiment.markers.on_base[scene.experiment.row_marker]
+        fixed, turning = scene.on_base, np.flatnonzero(scene.turning)
         for slot, sizes in zip(slots, grouped(values), strict=True):
             rotation, origin = _frame(scene, slot.frame)
             arm = scene.point - origin[pose]
             for step, direction in _directions(slot, sizes).items():
                 axis = (rotation @ direction)[pose]
                 columns[:, :, column] = axis if step[0] == "t" else cross(axis, arm)
+                columns[turning, :, column] = 0.0 if step[0] == "t" else axis[turning]
                 column += 1
         columns[fixed] = 0.0
         columns *= scale

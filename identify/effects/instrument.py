@@ -1,7 +1,7 @@
 """What is wrong with the readings and not with the arm: an instrument that moves or scales, reflectors that shift.
 
 An instrument that moves displaces every reading as a rigid body, targets on the base and the floor too:
-``v + w x p`` with v along and w about the axes of the base, p the target from the base origin.
+``v + w x p`` with v along and w about the axes of the base, p the target from the base origin; 6-D targets turn by w.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def tracker_scale(binding: Binding) -> Effect:
     parameter = unknown_of("tracker_scale.all", "ppm", plausible=50.0, typical=10.0)
 
     def fields(scene: Scene) -> Floats:
-        return np.array(scene.point[:, :, None])
+        return np.where(scene.turning[:, None], 0.0, scene.point)[:, :, None]
 
     def why_zero(parameter: int) -> str:
         return f"every target stands at the base origin, {HIDDEN}"
@@ -119,7 +119,7 @@ def marker_seating(binding: Binding) -> Effect:
 
     def fields(scene: Scene) -> Floats:
         experiment = scene.experiment
-        loaded = ~experiment.shot_unloaded[experiment.row_shot]
+        loaded = ~experiment.shot_unloaded[experiment.row_shot] & ~scene.turning
         marker = np.array(experiment.markers.names)[experiment.row_marker]
         shifted = loaded[:, None] & (marker[:, None] == np.array(places))
         axes = scene.frames.flange_rotation[scene.row_pose]
@@ -154,6 +154,7 @@ def _moving(
     def fields(scene: Scene) -> Floats:
         shifts = np.broadcast_to(np.eye(3), (len(scene.point), 3, 3))
         rigid = np.concatenate([shifts, -skew(scene.point)], axis=2)
+        rigid[scene.turning] = np.eye(3, 6, 3)
         return np.asarray(rigid[:, :, columns] * course(scene)[:, None, None])
 
     return direct_effect(name, parameters, fields, lambda _: why, of_reading=True)

@@ -59,7 +59,7 @@ def thermal_growth(binding: Binding) -> Effect:
 
     def fields(scene: Scene) -> Floats:
         grown = _stretches(scene)[:, lengths][scene.row_pose]
-        grown[scene.experiment.markers.on_base[scene.experiment.row_marker]] = 0.0
+        grown[scene.on_base | scene.turning] = 0.0
         moves = np.concatenate([grown, scene.joints.motion[:, turned]], axis=1)
         return np.asarray((moves * _warmth(scene, driver, tau)[:, None, None]).swapaxes(1, 2))
 
