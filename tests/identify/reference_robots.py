@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -97,3 +98,13 @@ def study_of(
         options={"link_compliance": template if isinstance(template, dict) else {"template": template}},
         reduce=ReduceSettings(**settings),  # type: ignore[arg-type]
     )
+
+
+#: Name -> builder of an arm: shipped ones, and two with sliding joints about crooked axes.
+ARMS = {name: partial(load_robot, name) for name in ("sda5f_r1", "sda5f_r2", "kr270_2", "ur10")}
+ARMS |= {"mixed": mixed, "gantry": gantry}
+
+
+def poses_of(robot: Robot, count: int = 20, seed: int = 1) -> np.ndarray:
+    """(V, n) joint values, rad or m."""
+    return np.random.default_rng(seed).uniform(-3.0, 3.0, (count, robot.n))
