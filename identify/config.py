@@ -203,6 +203,7 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study
         effects=tuple(model.effects),
         reference=model.reference,
         equilibrium=model.equilibrium,
+        rows=model.rows,
         nominal=MappingProxyType(dict(model.nominal)),
         options=file.options,
         test_poses=tuple(test_pose(pose, robot) for pose in file.test_poses or []),

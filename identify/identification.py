@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from identify.arrays import Floats, Ints, frozen
-from identify.errors import NotIdentifiable
+from identify.errors import InputError, NotIdentifiable
 from identify.experiment import Experiment, Measurements
 from identify.fit import Fit, State, fit, rows_that_do_not_fit, settled_with, start
 from identify.identifiability import why_not
@@ -199,6 +199,12 @@ def _identify(study: Study, data: Measurements, seed: int, known: Fit | None) ->
 def _with_orientations(study: Study, data: Measurements) -> tuple[Study, Measurements, Floats | None]:
     """Rows for the orientations of 6-D targets, if the data have them and the study says how good they are."""
     if not study.six_d or data.quaternions is None:
+        if study.rows != "vectors":
+            missing = "the columns qw, qx, qy, qz" if study.six_d else "[noise] orientation_urad"
+            raise InputError(
+                f'{study.path}: [model] rows = "{study.rows}" is for poses of 6-D targets, {missing} are missing; '
+                'state them, or use rows = "vectors"'
+            )
         return positions_only(study), data, None
     model, data = model_of(study), data if data.experiment.row_turns is not None else with_turns_read(data)
     return study, *facing(model, data, start(model, data).base_T_measurement)

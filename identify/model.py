@@ -12,7 +12,7 @@ from identify.arrays import Floats, Ints, frozen
 from identify.effects import Effect, Parameter, bind_effects
 from identify.errors import InputError
 from identify.robot import Robot
-from identify.study import Study
+from identify.study import RowAlgebra, Study
 from identify.units import MM, MRAD
 
 __all__ = ["Model", "effects_of", "model_of", "with_effect", "without_nuisance"]
@@ -31,6 +31,7 @@ class Model:
         parameters: All p parameters: frame, markers, turns of markers, then the effects' in their order.
         frame_size: Number of frame parameters (6 or 0).
         marker_size: Number of marker parameters (3 a marker or 0).
+        rows: How the rows of a fit are built (`Study.rows`).
         turn_size: Number of parameters of how 6-D targets sit on the flange (3 a marker of the flange or 0).
         self_weight: The weight of links and tool is counted.
         loaded: Torques are taken on the deflected arm (`identify.loaded_scene`), else on the undeflected one. Effects
@@ -45,6 +46,7 @@ class Model:
     self_weight: bool
     loaded: bool = False
     turn_size: int = 0
+    rows: RowAlgebra = "vectors"
 
     @property
     def nuisance_size(self) -> int:
@@ -113,7 +115,7 @@ def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapp
     parameters = tuple(replace(p, nominal=float(given.get(p.name, p.nominal))) for p in parameters)
     loaded = study.equilibrium == "loaded"
     known = study.robot.masses_known
-    return Model(study.robot, bound, parameters, len(frame), len(markers), known, loaded, len(turns))
+    return Model(study.robot, bound, parameters, len(frame), len(markers), known, loaded, len(turns), study.rows)
 
 
 def effects_of(study: Study, names: tuple[str, ...], others: tuple[Effect, ...] = ()) -> tuple[Effect, ...]:

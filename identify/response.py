@@ -23,6 +23,7 @@ __all__ = [
     "effect_columns",
     "frame_displacement",
     "marker_positions",
+    "nuisance_columns",
     "respond",
     "through_columns",
     "undeflected",
@@ -38,8 +39,8 @@ class Response:
 
     Attributes:
         scene: The fields it was computed from.
-        position: (R, 3) readings in the base frame (displaced by the frame parameters), m; of no meaning for rows that
-            read a turn.
+        position: (R, 3) readings in the base frame (displaced by the frame parameters), m; the undeflected target in rows
+            that read a turn.
         deflection: (R, 3) the elastic and other displacement contained in it, m (rotation vectors, rad, in such rows).
         derivative: (R, 3, p) m or rad per unit of each parameter; (R, 3, 0) if not asked for. Columns behind the last
             one that is wanted may be left out.
@@ -80,7 +81,8 @@ def respond(
     wanted = np.ones(len(model.parameters), dtype=bool) if wanted is None else wanted
     scene, deflection = deflected(model, experiment, values, known=known)
     turn, shift = frame_displacement(model, values)
-    position = (scene.point + deflection) @ turn.T + shift
+    shifted = deflection if experiment.row_turns is None else np.where(scene.turning[:, None], 0.0, deflection)
+    position = (scene.point + shifted) @ turn.T + shift
     turned = _turned(model, scene, deflection, values)
     if not derivative:
         nothing = np.zeros((*position.shape, 0))
@@ -289,6 +291,20 @@ def frame_displacement(model: Model, values: Floats) -> tuple[Floats, Floats]:
 def _derivative(model: Model, scene: Scene, position: Floats, values: Floats, wanted: np.ndarray) -> Floats:
     """(R, 3, p); the turn of the frame parameters, which are small, is left out of the other columns."""
     columns = effect_columns(model, scene, values, wanted)
+    nuisance = nuisance_columns(model, scene, position)
+    columns[:, :, : nuisance.shape[2]] = nuisance
+    return columns
+
+
+def nuisance_columns(model: Model, scene: Scene, position: Floats) -> Floats:
+    """Columns of frame, markers and turns of markers on the undeflected arm, (R, 3, nuisance), m or rad per unit.
+
+    Args:
+        model: The model.
+        scene: The rows.
+        position: (R, 3) where the markers are, displaced by the frame parameters, m.
+    """
+    columns = np.zeros((len(scene.point), 3, model.nuisance_size))
     if model.frame_size:
         columns[:, :, :3] = MM * np.eye(3)
         columns[:, :, 3:6] = _frame_turn(scene, position)

@@ -129,6 +129,7 @@ class ModelSection(Section):
     effects: list[Text] = ["joint_compliance"]
     reference: Literal["absolute", "differences", "auto"] = "auto"
     equilibrium: Literal["linear", "loaded"] = "linear"
+    rows: Literal["vectors", "dual_quaternions", "dual_quaternion_deviations"] = "vectors"
     nominal: dict[str, Number] = {}
 
 

@@ -21,6 +21,7 @@ __all__ = ["Constraints", "ModelChoice", "Noise", "PlanSettings", "ReduceSetting
 Criterion = Literal["test_pose", "A", "D", "E", "G"]
 Reference = Literal["absolute", "differences", "auto"]
 Equilibrium = Literal["linear", "loaded"]
+RowAlgebra = Literal["vectors", "dual_quaternions", "dual_quaternion_deviations"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +192,7 @@ class Study:
         effects: What the simulation contains: ``name`` or ``name@where``.
         reference: absolute, differences or auto.
         equilibrium: Torques on the undeflected arm (linear) or on the deflected one (loaded).
+        rows: How the rows of a fit are built: vectors, or by dual quaternions (`identify.dual_rows`).
         nominal: Starting values by parameter name, in the units of the results.
         options: Options of effects, by effect name.
         test_poses: Where accuracy counts.
@@ -211,6 +213,7 @@ class Study:
     effects: tuple[str, ...] = ("joint_compliance",)
     reference: Reference = "auto"
     equilibrium: Equilibrium = "linear"
+    rows: RowAlgebra = "vectors"
     nominal: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: MappingProxyType({}))
     test_poses: tuple[TestPose, ...] = ()

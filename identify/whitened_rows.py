@@ -16,6 +16,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from identify.arrays import Floats, Ints, rotation_vector
+from identify.dual_rows import deviation_residual, dual_respond
 from identify.effects import Scene
 from identify.experiment import Measurements
 from identify.identifiability import triangle
@@ -24,7 +25,7 @@ from identify.noise import Whitening, joined, reading_covariance, whitening
 from identify.response import Response, respond, undeflected
 from identify.row_distances import row_distances
 from identify.selection import take_rows
-from identify.study import Noise
+from identify.study import Noise, RowAlgebra
 from identify.threads import one_thread
 
 __all__ = ["Part", "Problem", "Rows", "State", "parts_of", "predicted", "rows_at", "station", "stepped"]
@@ -104,10 +105,11 @@ class Problem:
 
     @cached_property
     def linear(self) -> bool:
-        """True if the columns do not depend on the values of what may move."""
+        """True if neither columns nor what is beyond them depend on the values of what may move."""
         model = self.model
         moving = [e for e, where in zip(model.effects, model.effect_slices, strict=True) if self.free[where].any()]
-        return not model.loaded and not (self.free & model.nuisance).any() and all(e.linear for e in moving)
+        plain = not model.loaded and self.data.experiment.row_turns is None  # turns add up to first order only
+        return plain and not (self.free & model.nuisance).any() and all(e.linear for e in moving)
 
 
 def parts_of(model: Model, data: Measurements) -> tuple[Part, ...]:
@@ -146,6 +148,8 @@ def predicted(model: Model, parts: Sequence[Part], values: Floats) -> Floats:
     """
 
     def position(part: Part) -> Floats:
+        if model.rows != "vectors":
+            return dual_respond(model, part.data.experiment, values, derivative=False).position
         return respond(model, part.data.experiment, values, derivative=False, known=part.scene).position
 
     return np.concatenate(_each(parts, position))
@@ -252,7 +256,8 @@ def rows_at(problem: Problem, state: State) -> Rows:
 def _look(problem: Problem, part: Part, state: State) -> _Look:
     """One part at a state."""
     response = _response(problem, part, state)
-    residual, operators = _residual(part, state, response), _operators(problem, part, state, response)
+    residual = _residual(part, state, response, problem.model.rows)
+    operators = _operators(problem, part, state, response)
     whitened = operators.apply(residual)
     columns = operators.apply(response.derivative[:, :, problem.chosen])
     upper = triangle([np.column_stack([columns, whitened])])
@@ -266,7 +271,8 @@ def stepped(rows: Rows, state: State, step: Floats) -> Rows:
     """The rows after a step (p,) that leaves whitening and columns as they are."""
     problem = rows.problem
     residuals = _each(
-        problem.parts, lambda part: _residual(part, state, _response(problem, part, state, columns=False))
+        problem.parts,
+        lambda part: _residual(part, state, _response(problem, part, state, columns=False), problem.model.rows),
     )
     whitened = [operators.apply(part) for operators, part in zip(rows.operators, residuals, strict=True)]
     upper = rows.upper.copy()
@@ -284,6 +290,8 @@ def _each(parts: Sequence[T], work: Callable[[T], U], least: int = _SERIAL) -> l
 
 
 def _response(problem: Problem, part: Part, state: State, *, columns: bool = True) -> Response:
+    if problem.model.rows != "vectors":
+        return dual_respond(problem.model, part.data.experiment, state.values, derivative=columns)
     return respond(
         problem.model,
         part.data.experiment,
@@ -295,14 +303,17 @@ def _response(problem: Problem, part: Part, state: State, *, columns: bool = Tru
     )
 
 
-def _residual(part: Part, state: State, response: Response) -> Floats:
+def _residual(part: Part, state: State, response: Response, rows: RowAlgebra) -> Floats:
     """(R_i, 3) reading minus model, base frame, m; the turn from model to reading, rad, where a turn is read."""
-    placement = state.base_T_measurement
-    residual: Floats = part.data.positions @ placement[:3, :3].T + placement[:3, 3] - response.position
-    if len(response.turned):
-        rows = part.data.experiment.turning
-        read = placement[:3, :3] @ part.data.orientations(rows)
-        residual[rows] = rotation_vector(read @ response.turned.swapaxes(1, 2))
+    placement, experiment = state.base_T_measurement, part.data.experiment
+    read = part.data.positions @ placement[:3, :3].T + placement[:3, 3]
+    if not len(response.turned):
+        return np.asarray(read - response.position)
+    turned = placement[:3, :3] @ part.data.orientations(experiment.turning)
+    if rows == "dual_quaternion_deviations":
+        return deviation_residual(response, experiment, read, turned)
+    residual: Floats = read - response.position
+    residual[experiment.turning] = rotation_vector(turned @ response.turned.swapaxes(1, 2))
     return residual
 
 
