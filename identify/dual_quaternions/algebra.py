@@ -51,33 +51,33 @@ def components(values: ArrayLike, size: int = 8, what: str = "dual quaternion") 
     array = np.asarray(values, dtype=np.float64)
     if array.ndim == 0 or array.shape[-1] != size:
         raise InputError(f"{what} of shape {array.shape}: the last axis must have {size} numbers")
-    return np.moveaxis(array, -1, 0)
+    return array.transpose(-1, *range(array.ndim - 1))
 
 
 def joined(parts: ArrayLike) -> Floats:
     """(..., size) from components (size, ...), as a view."""
-    return np.moveaxis(np.asarray(parts, dtype=np.float64), 0, -1)
+    array = np.asarray(parts, dtype=np.float64)
+    return array.transpose(*range(1, array.ndim), 0)
 
 
-def _quaternion_product(a: Floats, b: Floats) -> Floats:
-    """Product of quaternions (4, ...), eq. 7."""
+def _quaternion_product(a: Floats, b: Floats, out: Floats) -> None:
+    """Add the product of quaternions (4, ...), eq. 7, to ``out``."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
-    return np.stack([
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    ])
+    out[0] += aw * bw - ax * bx - ay * by - az * bz
+    out[1] += aw * bx + ax * bw + ay * bz - az * by
+    out[2] += aw * by - ax * bz + ay * bw + az * bx
+    out[3] += aw * bz + ax * by - ay * bx + az * bw
 
 
 def product(a: ArrayLike, b: ArrayLike) -> Floats:
     """``a * b``, eq. 6: of two placements, first ``b`` then ``a``; (..., 8)."""
     p, q = components(a), components(b)
-    real = _quaternion_product(p[:4], q[:4])
-    dual = _quaternion_product(p[:4], q[4:])
-    dual += _quaternion_product(p[4:], q[:4])
-    return joined(np.concatenate([real, dual]))
+    result = np.zeros((8, *np.broadcast_shapes(p.shape[1:], q.shape[1:])))
+    _quaternion_product(p[:4], q[:4], result[:4])
+    _quaternion_product(p[:4], q[4:], result[4:])
+    _quaternion_product(p[4:], q[:4], result[4:])
+    return joined(result)
 
 
 def _signed(q: ArrayLike, signs: Floats) -> Floats:

@@ -77,7 +77,8 @@ def apply_wrench(
     turn = {"base": np.eye(3), "world": postures.robot.world_R_base.T, "flange": rotation(postures.pose)}[frame]
     force, moment = ((turn @ part[..., None])[..., 0] for part in (values[:, :3], values[:, 3:]))
     point = transform(postures.pose, local)
-    dual = dual_vector(np.concatenate([moment + np.cross(point, force), force], axis=1))
+    about_origin = moment + (skew(point) @ force[..., None])[..., 0]
+    dual = dual_vector(np.concatenate([about_origin, force], axis=1))
     return AppliedWrench(frozen(dual), frozen(point), frame == "flange")
 
 
@@ -132,9 +133,10 @@ def complementary_stiffness(postures: Postures, applied: AppliedWrench) -> Float
     if applied.turns:
         changed = bracket(screws, dual)
     else:
-        linear, turning = np.split(twist(screws), 2, axis=-1)
-        shifted = linear + np.cross(turning, applied.point[:, None])
-        moment = np.cross(shifted, dual[..., 1:4])
+        # the moment about the base origin grows as the point moves: (v + a x p) x f
+        values = twist(screws)
+        moves = values[..., :3] + values[..., 3:] @ skew(applied.point)
+        moment = moves @ skew(applied.dual[:, 1:4])
         changed = dual_vector(np.concatenate([moment, np.zeros_like(moment)], axis=-1))
     # <W, s_j x s_i> = <s_i x W, s_j>: the triple product may be turned round
     carried = swap(bracket(screws, dual)) @ screws.swapaxes(1, 2)
