@@ -113,6 +113,8 @@ def postures(chain: DualChain, q: ArrayLike) -> Postures:
     poses, screws = np.empty((len(values), 8)), np.empty((len(values), chain.robot.n, 8))
     for part, frame, pose in _walk(chain, values):
         poses[part], screws[part] = pose, _screws(chain, frame).swapaxes(0, 1)
+    poses.setflags(write=False)
+    screws.setflags(write=False)
     return Postures(chain.robot, poses, screws)
 
 
