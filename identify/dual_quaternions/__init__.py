@@ -5,6 +5,6 @@ the dual part. A placement with rotation r (unit quaternion) and translation p, 
 ``q`` and ``-q`` are the same placement. Placements are multiplied as their homogeneous matrices are.
 
 Source: Li, Zhang, Fu, Wang, "Joint Stiffness Identification and Deformation Compensation of Serial Robots Based on
-Dual Quaternion Algebra", Appl. Sci. 9, 65; equation numbers in this package are theirs. What was read where
+Dual Quaternion Algebra", MDPI, 25 December 2018; equation numbers in this package are theirs. What was read where
 the printed equations do not fit together stands in docs/theory.md.
 """

@@ -51,33 +51,47 @@ def components(values: ArrayLike, size: int = 8, what: str = "dual quaternion") 
     array = np.asarray(values, dtype=np.float64)
     if array.ndim == 0 or array.shape[-1] != size:
         raise InputError(f"{what} of shape {array.shape}: the last axis must have {size} numbers")
-    return np.moveaxis(array, -1, 0)
+    return array.transpose(-1, *range(array.ndim - 1))
 
 
 def joined(parts: ArrayLike) -> Floats:
     """(..., size) from components (size, ...), as a view."""
-    return np.moveaxis(np.asarray(parts, dtype=np.float64), 0, -1)
+    array = np.asarray(parts, dtype=np.float64)
+    return array.transpose(*range(1, array.ndim), 0)
 
 
-def _quaternion_product(a: Floats, b: Floats) -> Floats:
-    """Product of quaternions (4, ...), eq. 7."""
+def _common(p: Floats, q: Floats) -> tuple[int, ...]:
+    """Shape of what comes out for components (8, ...) and (8, ...)."""
+    try:
+        return np.broadcast_shapes(p.shape[1:], q.shape[1:])
+    except ValueError as error:
+        raise InputError(
+            f"dual quaternions of shapes {joined(p).shape} and {joined(q).shape} do not broadcast against each other"
+        ) from error
+
+
+def _quaternion_product(a: Floats, b: Floats, out: Floats) -> None:
+    """Add the product of quaternions (4, ...), eq. 7, to ``out``."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
-    return np.stack([
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    ])
+    out[0] += aw * bw - ax * bx - ay * by - az * bz
+    out[1] += aw * bx + ax * bw + ay * bz - az * by
+    out[2] += aw * by - ax * bz + ay * bw + az * bx
+    out[3] += aw * bz + ax * by - ay * bx + az * bw
 
 
 def product(a: ArrayLike, b: ArrayLike) -> Floats:
-    """``a * b``, eq. 6: of two placements, first ``b`` then ``a``; (..., 8)."""
+    """``a * b``, eq. 6: of two placements, first ``b`` then ``a``; (..., 8).
+
+    Raises:
+        InputError: The shapes do not broadcast.
+    """
     p, q = components(a), components(b)
-    real = _quaternion_product(p[:4], q[:4])
-    dual = _quaternion_product(p[:4], q[4:])
-    dual += _quaternion_product(p[4:], q[:4])
-    return joined(np.concatenate([real, dual]))
+    result = np.zeros((8, *_common(p, q)))
+    _quaternion_product(p[:4], q[:4], result[:4])
+    _quaternion_product(p[:4], q[4:], result[4:])
+    _quaternion_product(p[4:], q[:4], result[4:])
+    return joined(result)
 
 
 def _signed(q: ArrayLike, signs: Floats) -> Floats:
@@ -110,11 +124,16 @@ def swap(q: ArrayLike) -> Floats:
 def circle(a: ArrayLike, b: ArrayLike) -> Floats:
     """Circle product ``a_r . b_r + a_d . b_d``, a real number (...).
 
-    Definition of Filipe, Valverde, Tsiotras (IEEE Trans. Aerosp. Electron. Syst. 52, 411-422, 2016; reference 29 of the
+    As Filipe, Valverde, Tsiotras use it (IEEE Trans. Aerosp. Electron. Syst. 52, 411-422, 2016; reference 29 of the
     paper). The paper keeps the two dot products apart, as scalars of a real and a dual part, and adds them with
     ``T = [1 0 0 0 1 0 0 0]`` (eq. 13-16): the same number.
+
+    Raises:
+        InputError: The shapes do not broadcast.
     """
-    total: Floats = (joined(components(a)) * joined(components(b))).sum(axis=-1)
+    p, q = components(a), components(b)
+    _common(p, q)
+    total: Floats = (joined(p) * joined(q)).sum(axis=-1)
     return total
 
 

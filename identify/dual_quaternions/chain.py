@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identify.arrays import Floats, frozen
-from identify.dual_quaternions.algebra import conjugate, joined, product, right_matrix
+from identify.dual_quaternions.algebra import components, joined, product, right_matrix
 from identify.dual_quaternions.placements import from_matrix
 from identify.errors import InputError
 from identify.robot import Robot
@@ -113,6 +113,8 @@ def postures(chain: DualChain, q: ArrayLike) -> Postures:
     poses, screws = np.empty((len(values), 8)), np.empty((len(values), chain.robot.n, 8))
     for part, frame, pose in _walk(chain, values):
         poses[part], screws[part] = pose, _screws(chain, frame).swapaxes(0, 1)
+    poses.setflags(write=False)
+    screws.setflags(write=False)
     return Postures(chain.robot, poses, screws)
 
 
@@ -155,5 +157,24 @@ def _walk(chain: DualChain, q: Floats) -> Iterator[tuple[slice, Floats, Floats]]
 
 
 def _screws(chain: DualChain, frames: Floats) -> Floats:
-    """Screws (n, C, 8) of joints in the base frame: their own z axes, carried by the frames (n, C, 8)."""
-    return product(product(frames, chain.directions[:, None]), conjugate(frames))
+    """Screws (n, C, 8) of joints in the base frame, ``x k x*`` or ``x eps k x*`` with the frames x (n, C, 8).
+
+    The real part is ``r k r*``. The dual part, ``d k r* + r k d*``, is twice the vector of its first term.
+    """
+    parts = components(frames)
+    axis, moment = _z_between(parts[:4], parts[:4]), 2.0 * _z_between(parts[4:], parts[:4])
+    slides = chain.robot.prismatic[:, None]
+    screws = np.zeros(parts.shape)
+    screws[1:4], screws[5:] = np.where(slides, 0.0, axis), np.where(slides, axis, moment)
+    return joined(screws)
+
+
+def _z_between(a: Floats, b: Floats) -> Floats:
+    """Vector part (3, ...) of ``a k b*`` for quaternions (4, ...)."""
+    w, x, y, z = a
+    bw, bx, by, bz = b
+    return np.stack([
+        w * by + x * bz + y * bw + z * bx,
+        y * bz + z * by - w * bx - x * bw,
+        w * bw + z * bz - x * bx - y * by,
+    ])

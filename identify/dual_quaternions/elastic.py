@@ -77,7 +77,8 @@ def apply_wrench(
     turn = {"base": np.eye(3), "world": postures.robot.world_R_base.T, "flange": rotation(postures.pose)}[frame]
     force, moment = ((turn @ part[..., None])[..., 0] for part in (values[:, :3], values[:, 3:]))
     point = transform(postures.pose, local)
-    dual = dual_vector(np.concatenate([moment + np.cross(point, force), force], axis=1))
+    about_origin = moment + (skew(point) @ force[..., None])[..., 0]
+    dual = dual_vector(np.concatenate([about_origin, force], axis=1))
     return AppliedWrench(frozen(dual), frozen(point), frame == "flange")
 
 
@@ -94,14 +95,21 @@ def _rows(values: ArrayLike, count: int, size: int, what: str) -> Floats:
 
 
 def joint_torques(postures: Postures, applied: AppliedWrench) -> Floats:
-    """``T F' J`` (V, n): what the wrench puts on each joint, Nm, or N where it slides; eq. 16 to 18."""
-    return circle(swap(applied.dual)[:, None], postures.screws)
+    """``T F' J`` (V, n): what the wrench puts on each joint, Nm, or N where it slides; eq. 16 to 18.
+
+    Raises:
+        InputError: The wrench was applied to another number of poses.
+    """
+    return circle(_same(postures, applied)[:, None], postures.screws)
 
 
 def deviation_columns(postures: Postures, applied: AppliedWrench) -> Floats:
     """Deviation ``q' q^-1 - 1`` per joint compliance (V, 8, n): the rows A of eq. 31 and 32, first order.
 
     The compliances are in rad/Nm, or m/N where a joint slides.
+
+    Raises:
+        InputError: The wrench was applied to another number of poses.
     """
     columns: Floats = postures.deviation * joint_torques(postures, applied)[:, None]
     return columns
@@ -127,14 +135,19 @@ def complementary_stiffness(postures: Postures, applied: AppliedWrench) -> Float
 
     Joint j carries the screws of the joints after it, ``d s_i = s_j x s_i``, and the point where the wrench acts; the
     wrench itself keeps its direction, or turns with the flange. Nm/rad, N/rad, Nm/m or N/m.
+
+    Raises:
+        InputError: The wrench was applied to another number of poses.
     """
+    _same(postures, applied)
     screws, dual = postures.screws, applied.dual[:, None]
     if applied.turns:
         changed = bracket(screws, dual)
     else:
-        linear, turning = np.split(twist(screws), 2, axis=-1)
-        shifted = linear + np.cross(turning, applied.point[:, None])
-        moment = np.cross(shifted, dual[..., 1:4])
+        # the moment about the base origin grows as the point moves: (v + a x p) x f
+        values = twist(screws)
+        moves = values[..., :3] + values[..., 3:] @ skew(applied.point)
+        moment = moves @ skew(applied.dual[:, 1:4])
         changed = dual_vector(np.concatenate([moment, np.zeros_like(moment)], axis=-1))
     # <W, s_j x s_i> = <s_i x W, s_j>: the triple product may be turned round
     carried = swap(bracket(screws, dual)) @ screws.swapaxes(1, 2)
@@ -169,8 +182,8 @@ def cartesian_compliance(
         point: (3,) or (V, 3) flange frame, m.
 
     Returns:
-        Rows: displacement, m, then turn, rad; columns: force, N, then moment, Nm; base frame. Symmetric if no
-        moment acts already.
+        Rows: displacement, m, then turn, rad; columns: force, N, then moment, Nm; base frame. Symmetric where nothing
+        acts already, or a force alone that keeps its direction.
 
     Raises:
         InputError: Another number of compliances, a negative one, or a wrong shape.
@@ -210,6 +223,15 @@ def cartesian_stiffness(
             "elastic joints, or a singular pose), so it has no Cartesian stiffness; use the compliance"
         )
     return np.asarray(np.linalg.inv(yields))
+
+
+def _same(postures: Postures, applied: AppliedWrench) -> Floats:
+    """(V, 8) the swapped wrench, if it was applied to as many poses."""
+    if applied.dual.shape != postures.pose.shape:
+        raise InputError(
+            f"{len(applied.dual)} wrenches for {len(postures.pose)} poses: apply the wrench to these poses"
+        )
+    return swap(applied.dual)
 
 
 def _compliances(postures: Postures, compliance: ArrayLike) -> Floats:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from identify.arrays import Floats
-from identify.dual_quaternions.algebra import UNIT_TOLERANCE, components, conjugate, joined, product, unit
+from identify.dual_quaternions.algebra import UNIT_TOLERANCE, components, joined, product, unit
 from identify.errors import InputError
 
 __all__ = ["from_matrix", "from_rotation", "placed", "rotation", "to_matrix", "transform", "translation"]
@@ -80,13 +80,21 @@ def rotation(q: ArrayLike) -> Floats:
     Raises:
         InputError: One is not unit.
     """
-    w, x, y, z = components(unit(q))[:4]
-    rows = [
-        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    return _rotation(components(unit(q)))
+
+
+def _rotation(parts: Floats) -> Floats:
+    """(..., 3, 3) of components (8, ...)."""
+    w, x, y, z = parts[:4]
+    ww, xx, yy, zz = parts[:4] ** 2
+    matrices = np.empty((*parts.shape[1:], 3, 3))
+    matrices[..., 0, 0] = ww + xx - yy - zz
+    matrices[..., 1, 1] = ww - xx + yy - zz
+    matrices[..., 2, 2] = ww - xx - yy + zz
+    matrices[..., 0, 1], matrices[..., 1, 0] = 2.0 * (x * y - w * z), 2.0 * (x * y + w * z)
+    matrices[..., 2, 0], matrices[..., 0, 2] = 2.0 * (x * z - w * y), 2.0 * (x * z + w * y)
+    matrices[..., 1, 2], matrices[..., 2, 1] = 2.0 * (y * z - w * x), 2.0 * (y * z + w * x)
+    return matrices
 
 
 def translation(q: ArrayLike) -> Floats:
@@ -95,8 +103,18 @@ def translation(q: ArrayLike) -> Floats:
     Raises:
         InputError: One is not unit.
     """
-    values = unit(q)
-    return 2.0 * product(values, conjugate(values) * np.repeat([1.0, 0.0], 4))[..., 5:]
+    return _translation(components(unit(q)))
+
+
+def _translation(parts: Floats) -> Floats:
+    """(..., 3) of components (8, ...): the vector part of ``2 d r*``."""
+    w, x, y, z, a, b, c, d = parts
+    shift = [
+        w * b - a * x + y * d - z * c,
+        w * c - a * y + z * b - x * d,
+        w * d - a * z + x * c - y * b,
+    ]
+    return joined(2.0 * np.array(shift))
 
 
 def to_matrix(q: ArrayLike) -> Floats:
@@ -105,9 +123,9 @@ def to_matrix(q: ArrayLike) -> Floats:
     Raises:
         InputError: One is not unit.
     """
-    values = unit(q)
-    matrices = np.zeros((*values.shape[:-1], 4, 4))
-    matrices[..., :3, :3], matrices[..., :3, 3], matrices[..., 3, 3] = rotation(values), translation(values), 1.0
+    parts = components(unit(q))
+    matrices = np.zeros((*parts.shape[1:], 4, 4))
+    matrices[..., :3, :3], matrices[..., :3, 3], matrices[..., 3, 3] = _rotation(parts), _translation(parts), 1.0
     return matrices
 
 
@@ -119,6 +137,6 @@ def transform(q: ArrayLike, points: ArrayLike) -> Floats:
     Raises:
         InputError: One is not unit, or a shape is wrong.
     """
-    x = components(points, 3, "points")
-    moved: Floats = np.einsum("...ij,...j->...i", rotation(q), joined(x)) + translation(q)
+    parts, x = components(unit(q)), joined(components(points, 3, "points"))
+    moved: Floats = (_rotation(parts) @ x[..., None])[..., 0] + _translation(parts)
     return moved

@@ -195,3 +195,10 @@ def test_without_a_real_part_there_is_no_inverse_and_no_unit():
         dq.inverse(nothing)
     with pytest.raises(InputError, match="cannot be normalised"):
         dq.normalise(nothing)
+
+
+def test_shapes_that_do_not_fit_are_named():
+    a, b = np.zeros((3, 8)), np.zeros((2, 8))
+    for function in (dq.product, dq.circle):
+        with pytest.raises(InputError, match=re.escape("shapes (3, 8) and (2, 8) do not broadcast")):
+            function(a, b)

@@ -273,6 +273,10 @@ def test_bad_wrenches_are_named():
     with pytest.raises(InputError, match="is not unit"):
         apply_wrench(Postures(robot, 2.0 * found.pose, found.screws), WRENCH)
     applied = apply_wrench(found, WRENCH)
+    fewer = apply_wrench(Postures(robot, found.pose[:2], found.screws[:2]), WRENCH)
+    for function in (joint_torques, deviation_columns, complementary_stiffness):
+        with pytest.raises(InputError, match="2 wrenches for 3 poses"):
+            function(found, fewer)
     for wrong in ([1e-6] * 5, [1e-6] * 5 + [-1e-6], [1e-6] * 5 + [np.nan]):
         with pytest.raises(InputError, match="6 finite numbers, none negative"):
             deviation(found, wrong, applied)
