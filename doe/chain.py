@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import helmert
 
 from doe.observations import Observer
-from doe.symbolic_arm import SX, Chain, chain, load_torque, motion_of, springs_of, vector, weight_torque
+from doe.symbolic_arm import SX, Chain, chain, load_torque, motion_of, springs_of, turning_of, vector, weight_torque
 from identify.arrays import Floats, Ints
 from identify.effects import Effect
 from identify.effects.base import SpringSet, Term
@@ -50,6 +50,7 @@ class _Visit:
         points: M (3, 1) markers.
         loads: (15, L) columns of `load_table`, one a shot.
         self_weight: The weight of links and tool counts.
+        targets: How many 6-D targets there are, whose turns are read behind the M positions of a shot.
     """
 
     robot: Robot
@@ -58,12 +59,19 @@ class _Visit:
     points: list[SX]
     loads: SX
     self_weight: bool
+    targets: int
+
+    @property
+    def rows(self) -> int:
+        """Numbers read in one shot."""
+        return 3 * (len(self.points) + self.targets)
 
     def motion(self, kind: SpringSet) -> SX:
-        """(3 M, s) motion of the markers per unit of each spring of a set."""
+        """(rows, s) motion of what is read per unit of each spring of a set."""
         springs = springs_of(self.arm, kind)
         pairs = zip(self.points, self.on_base, strict=True)
-        return ca.vertcat(*(ca.SX(3, len(springs)) if fixed else motion_of(springs, point) for point, fixed in pairs))
+        moved = (ca.SX(3, len(springs)) if fixed else motion_of(springs, point) for point, fixed in pairs)
+        return ca.vertcat(*moved, *[turning_of(springs)] * self.targets)
 
     def torques(self, kind: SpringSet) -> list[SX]:
         """What each spring of a set bears, (s, 1): of the self-weight, then of the load of each shot."""
@@ -72,7 +80,7 @@ class _Visit:
         return [weight, *(load_torque(self.arm, springs, load) for load in ca.horzsplit(self.loads))]
 
 
-Columns = tuple[SX, list[SX]]  # what all shots share, (3 M, p), and what each of the L shots adds; [] for nothing
+Columns = tuple[SX, list[SX]]  # what all shots share, (rows, p), and what each of the L shots adds; [] for nothing
 
 
 def _spring_columns(visit: _Visit, effect: Effect, values: Floats) -> Columns:
@@ -149,24 +157,28 @@ def _logarithm(motion: Floats) -> Floats:
 
 
 def _screw_motion(visit: _Visit, frame: int, screw: Floats) -> SX:
-    """Motion of all markers by a screw of one frame, (3 M, 1)."""
+    """Motion of all that is read by a screw of one frame, (rows, 1)."""
     arm = visit.arm
     last = frame == arm.robot.n
     rotation = arm.flange_rotation if last else arm.rotation[frame]
     origin = arm.flange_origin if last else arm.origin[frame]
     shift, turn = rotation @ vector(screw[:3, 3]), rotation @ vector(screw[[2, 0, 1], [1, 2, 0]])
     moves = [shift + ca.cross(turn, point - origin) for point in visit.points]
-    return ca.vertcat(*(ca.SX(3, 1) if fixed else move for move, fixed in zip(moves, visit.on_base, strict=True)))
+    moved = (ca.SX(3, 1) if fixed else move for move, fixed in zip(moves, visit.on_base, strict=True))
+    return ca.vertcat(*moved, *[turn] * visit.targets)
 
 
 def _frame_columns(visit: _Visit, deflection: Columns, turn: Floats, shift: Floats) -> Columns:
     """Displacement of the base: translation, then rotation about the base origin."""
-    shared, own = deflection
+    shared, *own = (part[: 3 * len(visit.points)] for part in (deflection[0], *deflection[1]))
     turned = ca.diagcat(*[ca.SX(turn)] * len(visit.points))
     position = turned @ (ca.vertcat(*visit.points) + shared) + ca.repmat(vector(shift), len(visit.points), 1)
     ahead = ca.repmat(MM * ca.SX.eye(3), len(visit.points), 1)
-    none = ca.SX(*ahead.shape)
-    return ca.horzcat(ahead, _turned(position)), [ca.horzcat(none, _turned(turned @ part)) for part in own]
+    none, targets = ca.SX(*ahead.shape), visit.targets
+    turns = ca.horzcat(ca.SX(3 * targets, 3), ca.repmat(MRAD * ca.SX.eye(3), targets, 1))
+    return ca.vertcat(ca.horzcat(ahead, _turned(position)), turns), [
+        ca.vertcat(ca.horzcat(none, _turned(turned @ part)), ca.SX(*turns.shape)) for part in own
+    ]
 
 
 def _turned(position: SX) -> SX:
@@ -177,7 +189,14 @@ def _turned(position: SX) -> SX:
 def _marker_columns(visit: _Visit) -> Columns:
     """Each marker moves by its own correction, turned by the flange (or not, on the base)."""
     turns = [ca.SX.eye(3) if fixed else visit.arm.flange_rotation for fixed in visit.on_base]
-    return MM * ca.diagcat(*turns), []
+    columns = MM * ca.diagcat(*turns)
+    return ca.vertcat(columns, ca.SX(3 * visit.targets, columns.shape[1])), []
+
+
+def _target_columns(visit: _Visit) -> Columns:
+    """Each 6-D target turns by its own correction about the axes of the flange."""
+    turns = ca.diagcat(*[MRAD * visit.arm.flange_rotation] * visit.targets)
+    return ca.vertcat(ca.SX(3 * len(visit.points), turns.shape[1]), turns), []
 
 
 def _model_columns(observer: Observer, q: SX, loads: SX, visit: _Visit) -> Columns:
@@ -189,14 +208,16 @@ def _model_columns(observer: Observer, q: SX, loads: SX, visit: _Visit) -> Colum
         parts.append(_frame_columns(visit, _deflection(observer, visit), *displaced))
     if model.marker_size:
         parts.append(_marker_columns(visit))
+    if model.turn_size:
+        parts.append(_target_columns(visit))
     for effect, where in zip(model.effects, model.effect_slices, strict=True):
         parts.append(COLUMNS[effect.name](visit, effect, model.nominal[where]))
-    return _add(_beside(parts, shots), _bending(observer, q, loads))
+    return _add(_beside(parts, shots), _bending(observer, q, loads, visit.rows))
 
 
 def _deflection(observer: Observer, visit: _Visit) -> Columns:
     """Displacement of all markers by the effects at their nominal values; all effects of the table are linear."""
-    model, rows = observer.model, 3 * len(visit.points)
+    model, rows = observer.model, visit.rows
     total: Columns = ca.SX(rows, 1), [ca.SX(rows, 1)] * visit.loads.shape[1]
     for effect, where in zip(model.effects, model.effect_slices, strict=True):
         values = model.nominal[where]
@@ -210,12 +231,12 @@ def _deflection(observer: Observer, visit: _Visit) -> Columns:
     return total
 
 
-def _bending(observer: Observer, q: SX, loads: SX) -> Columns:
+def _bending(observer: Observer, q: SX, loads: SX, rows: int) -> Columns:
     """How the deflection changes with markers and geometry."""
     model = observer.model
     pairs = zip(model.effects, model.effect_slices, strict=True)
     if not any(effect.held or model.nominal[where].any() for effect, where in pairs if effect.adjust is None):
-        return ca.SX(3 * len(observer.study.markers.names), len(model.parameters)), []
+        return ca.SX(rows, len(model.parameters)), []
     changes = ca.SX.sym("changes", len(model.parameters))
     shared, own = _deflection(observer, _visit(observer, q, loads, changes))
     none = ca.SX.zeros(changes.shape)
@@ -258,7 +279,7 @@ def block_function(observer: Observer, shots: int, kept: Ints) -> Any:
     columns = [part[:, kept.tolist()] for part in own]
     motion = visit.motion("joints")
     jolt = motion @ motion.T
-    spread = _instrument(noise, visit.points) + noise.reading_jitter**2 * jolt
+    spread = _instrument(noise, visit.points, visit.targets) + noise.reading_jitter**2 * jolt
     weights = np.vstack([helmert(shots) if shots > 1 else np.zeros((0, 1)), np.full((1, shots), shots**-0.5)])
     mixed = [sum((w * part for w, part in zip(row, columns, strict=True)), ca.SX(*columns[0].shape)) for row in weights]
     blocks = [_whitened(spread, part) for part in mixed[:-1]]
@@ -281,7 +302,8 @@ def _visit(observer: Observer, q: SX, loads: SX, changes: SX | None = None) -> _
         local += MM * ca.reshape(changes[model.frame_size : model.frame_size + model.marker_size], 3, -1)
     fixed = markers.on_base
     points = [p if f else arm.point(p) for p, f in zip(ca.horzsplit(ca.sparsify(local)), fixed, strict=True)]
-    return _Visit(model.robot, arm, fixed, points, loads, model.self_weight)
+    targets = int((~fixed).sum()) if observer.study.six_d else 0
+    return _Visit(model.robot, arm, fixed, points, loads, model.self_weight, targets)
 
 
 def _displaced(observer: Observer, robot: Robot, changes: SX) -> list[SX]:
@@ -307,11 +329,12 @@ def _adjusted(observer: Observer) -> Robot:
     return robot
 
 
-def _instrument(noise: Noise, points: list[SX]) -> SX:
-    """Covariance of one shot's readings, (3 M, 3 M), m^2; see `identify.noise.instrument_covariance`."""
+def _instrument(noise: Noise, points: list[SX], targets: int) -> SX:
+    """Covariance of one shot's readings, (rows, rows), m^2 and rad^2; see `identify.noise.reading_covariance`."""
+    turns = noise.orientation**2 * ca.SX.eye(3 * targets)
     tracker = noise.tracker
     if tracker is None:
-        return noise.reading**2 * ca.SX.eye(3 * len(points))
+        return ca.diagcat(noise.reading**2 * ca.SX.eye(3 * len(points)), turns)
     assert tracker.station is not None  # the observer has refused it before
     parts = []
     for point in points:
@@ -321,7 +344,7 @@ def _instrument(noise: Noise, points: list[SX]) -> SX:
         along = (tracker.radial + tracker.radial_per_m * distance) ** 2
         outer = beam @ beam.T / distance**2
         parts.append(across * (ca.SX.eye(3) - outer) + along * outer)
-    return ca.diagcat(*parts)
+    return ca.diagcat(*parts, turns)
 
 
 def _whitened(covariance: SX, rows: SX) -> SX:

@@ -88,8 +88,6 @@ def can_refine(observer: Observer, criterion: str = "test_pose") -> str | None:
     missing = missing_columns(observer)
     if missing:
         return f"effect {', '.join(missing)} has no symbolic columns; the plan stays on the grid of candidates"
-    if observer.study.six_d:
-        return "orientations of 6-D targets have no symbolic rows; the plan stays on the grid of candidates"
     if criterion == "E":
         return "criterion E has no derivative where the smallest eigenvalue repeats; the plan stays on the grid"
     return None

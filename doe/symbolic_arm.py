@@ -23,6 +23,7 @@ __all__ = [
     "load_torque",
     "motion_of",
     "springs_of",
+    "turning_of",
     "vector",
     "weight_torque",
 ]
@@ -149,12 +150,16 @@ def motion_of(springs: list[Spring], point: SX) -> SX:
     return ca.horzcat(*columns)
 
 
+def turning_of(springs: list[Spring]) -> SX:
+    """Turn of the flange per unit of each spring, (3, s)."""
+    return ca.horzcat(*(ca.SX(3, 1) if s.slides else s.axis for s in springs))
+
+
 def load_torque(arm: Chain, springs: list[Spring], load: SX) -> SX:
     """``t``: torque or force of one row of `load_table` on each spring, (s, 1)."""
     turn = arm.flange_rotation
     force, moment = load[3:6] + turn @ load[9:12], load[6:9] + turn @ load[12:15]
-    turning = ca.horzcat(*(ca.SX(3, 1) if s.slides else s.axis for s in springs))
-    return motion_of(springs, arm.point(load[:3])).T @ force + turning.T @ moment
+    return motion_of(springs, arm.point(load[:3])).T @ force + turning_of(springs).T @ moment
 
 
 def weight_torque(arm: Chain, springs: list[Spring]) -> SX:

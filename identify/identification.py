@@ -173,7 +173,7 @@ def _identify(study: Study, data: Measurements, seed: int, known: Fit | None) ->
     lack = lack_of_fit(found, worst)
     covariance, kind, quantile = _uncertainty(found, lack)
     offsets, kept = _offsets_share(found, study)
-    notes = (*notes, *_notes(found, kind, lack, worst))
+    notes = (*notes, *_notes(found, kind, lack, worst), *_unresolved(found, covariance, quantile))
     heldout = _heldout(study, found, reference, worst, seed)
     values = found.state.values.copy()
     if model.frame_size:
@@ -358,6 +358,24 @@ def misfit_of(data: Measurements, residual: Floats, reference: str, rows: Ints) 
         return Misfit(residual[rows], rows)
     error, index = load_changes(take_rows(data, rows).experiment, residual[rows])
     return Misfit(error, rows[index])
+
+
+def _unresolved(found: Fit, covariance: Floats, quantile: float) -> tuple[str, ...]:
+    """Says so where the loads bend the arm too little for the readings to tell how soft it is."""
+    model, experiment = found.model, found.data.experiment
+    pairs = zip(model.effects, model.effect_slices, strict=True)
+    elastic = [k for effect, where in pairs if effect.yields for k in range(where.start, where.stop)]
+    asked = np.intersect1d(elastic, found.identifiability.kept)
+    dark = [k for k in asked if abs(found.state.values[k]) < quantile * np.sqrt(covariance[k, k])]
+    if 2 * len(dark) < len(asked) or not dark or experiment.shot_unloaded.all():
+        return ()
+    changed = misfit_of(found.data, found.reading, "differences", np.arange(len(found.residual)))
+    size = f" (readings change by {changed.rms * 1e3:.3g} mm rms)" if len(changed.error) else ""
+    names = ", ".join(model.names[k] for k in dark)
+    return (
+        f"the deflection under these loads{size} is below what the data resolve: {len(dark)} of {len(asked)} "
+        f"compliances have intervals that hold zero ({names}); hang more weight or measure more poses",
+    )
 
 
 def _heldout(study: Study, found: Fit, reference: str, worst: np.ndarray, seed: int) -> Heldout | None:

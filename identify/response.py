@@ -39,8 +39,8 @@ class Response:
 
     Attributes:
         scene: The fields it was computed from.
-        position: (R, 3) readings in the base frame (displaced by the frame parameters), m; in rows that read a turn, the
-            undeflected target.
+        position: (R, 3) readings in the base frame (displaced by the frame parameters), m; the place of the undeflected
+            target in rows that read a turn.
         deflection: (R, 3) the elastic and other displacement contained in it, m (rotation vectors, rad, in such rows).
         derivative: (R, 3, p) m or rad per unit of each parameter; (R, 3, 0) if not asked for. Columns behind the last
             one that is wanted may be left out.

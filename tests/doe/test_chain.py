@@ -104,6 +104,19 @@ def test_information_of_every_shipped_robot(name, reference):
         assert_same_information(*both_blocks(study_of(load_robot(name), noise=noise, reference=reference)))
 
 
+@pytest.mark.parametrize("reference", ["absolute", "differences"])
+@pytest.mark.parametrize("free", [True, False])
+def test_turns_of_6d_targets(reference, free):
+    noise, nominal = replace(TRACKER, orientation=4e-5), {"joint_compliance.j2": 2.0, "geometry.j3.offset": 0.5}
+    for robot in (load_robot("sda5f_r1"), random_chain(7)):
+        known = {name: value for name, value in nominal.items() if robot.name.startswith("Yaskawa")}
+        study = study_of(robot, noise=noise, reference=reference, frame_free=free, markers_fitted=free, nominal=known)
+        symbolic, exact = both_blocks(study)
+        rows = 3 * (len(MARKERS.names) + 3)
+        assert exact.shape[1] == rows * (2 if reference == "absolute" else 1)
+        assert_same_information(symbolic, exact, 1e-5)  # forward differences of bending in the exact one
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_random_chains_with_sliding_joints_masses_and_a_tilted_base(seed):
     robot = random_chain(seed)
