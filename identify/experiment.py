@@ -35,6 +35,8 @@ class Experiment:
         row_marker: (R,) index into ``markers``.
         wrench: (S, 6) measured wrench at the attach point of the shot's load, deflected flange frame,
             N and Nm; replaces the loads where given.
+        wrench_in_world: (S,) True for wrenches that are fixed in the world instead: they do not turn with the flange.
+            None: all turn with it.
         approach: (V, n) sign of the last motion of each joint, or None.
         time: (R,) s, or None.
         temperature: (R,) degC, or None.
@@ -53,6 +55,7 @@ class Experiment:
     row_shot: Ints
     row_marker: Ints
     wrench: Floats | None = None
+    wrench_in_world: np.ndarray | None = None
     approach: Floats | None = None
     time: Floats | None = None
     temperature: Floats | None = None
@@ -65,6 +68,8 @@ class Experiment:
         for key in ("q", "wrench", "approach", "time", "temperature"):
             if getattr(self, key) is not None:
                 object.__setattr__(self, key, frozen(getattr(self, key)))
+        if self.wrench_in_world is not None:
+            object.__setattr__(self, "wrench_in_world", frozen(self.wrench_in_world, bool))
         if self.start is None and self.time is not None and len(self.time):
             object.__setattr__(self, "start", float(self.time.min()))
 
@@ -98,6 +103,7 @@ class Experiment:
             row_shot=row_shot.ravel(),
             row_marker=self.row_marker[rows],
             wrench=None if self.wrench is None else self.wrench[shots],
+            wrench_in_world=None if self.wrench_in_world is None else self.wrench_in_world[shots],
             time=None if self.time is None else self.time[rows],
             temperature=None if self.temperature is None else self.temperature[rows],
         )

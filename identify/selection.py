@@ -85,6 +85,7 @@ def only_visit(data: Measurements, visit: int) -> Measurements:
         row_shot=row_shot,
         row_marker=experiment.row_marker[rows],
         wrench=None if experiment.wrench is None else experiment.wrench[shots],
+        wrench_in_world=None if experiment.wrench_in_world is None else experiment.wrench_in_world[shots],
         approach=None if experiment.approach is None else experiment.approach[[visit]],
         time=None if experiment.time is None else experiment.time[rows],
         temperature=None if experiment.temperature is None else experiment.temperature[rows],
