@@ -20,7 +20,16 @@ from identify.model import Model, without_nuisance
 from identify.response import Response, respond
 from identify.rotations import nearest_rotations, turn_rates
 
-__all__ = ["Arm", "Targets", "ToolResponse", "arm_of", "point_covariances", "tool_poses", "tool_response"]
+__all__ = [
+    "Arm",
+    "Targets",
+    "ToolResponse",
+    "arm_of",
+    "point_covariances",
+    "target_experiment",
+    "tool_poses",
+    "tool_response",
+]
 
 _CHUNK = 4096  # targets at once
 #: Origin of the flange and points 1 m along its axes.
@@ -152,7 +161,7 @@ def tool_response(arm: Arm, targets: Targets, *, derivative: bool = True) -> Too
         InputError: Another number of joints than the robot has.
         NoConvergence: The loaded arm finds no equilibrium.
     """
-    response = respond(arm.model, _experiment(targets), arm.values, derivative=derivative)
+    response = respond(arm.model, target_experiment(targets), arm.values, derivative=derivative)
     points = response.position.reshape(len(targets.names), 4, 3)
     axes = (points[:, 1:] - points[:, :1]).swapaxes(1, 2)
     pose = np.zeros((len(points), 4, 4))
@@ -162,8 +171,8 @@ def tool_response(arm: Arm, targets: Targets, *, derivative: bool = True) -> Too
     return ToolResponse(response.scene, pose, _pose_rates(response, axes, pose[:, :3, :3]))
 
 
-def _experiment(targets: Targets) -> Experiment:
-    """One shot of the virtual markers at each target."""
+def target_experiment(targets: Targets) -> Experiment:
+    """The conditions of targets: one shot each, which reads the four virtual markers."""
     points, index = np.unique(targets.attach, axis=0, return_inverse=True)
     loads = tuple(LoadCase("target", attach=point) for point in points)
     experiment = full_experiment(targets.q, index.reshape(-1, 1), loads, _POINTS, targets.names)
