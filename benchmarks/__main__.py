@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-NAMES = ("blocks", "complete", "design", "fit", "whole")
+NAMES = ("blocks", "compensation", "complete", "design", "fit", "whole")
 
 
 def main() -> None:

@@ -24,6 +24,7 @@ from identify.units import MM
 __all__ = ["run_compensate"]
 
 _ANSWERS = 1e-8  # m per unit: a parameter that moves no target by more is not loaded
+_LEFT, _SEEN = 0.05, 1e-6  # of the deflection, and m: a target with more left is named
 _SHOWN = 10  # names in a message
 #: Effects whose conditions targets do not state.
 _UNSTATED = {
@@ -119,12 +120,18 @@ def _sizes(lengths: Floats) -> dict[str, float]:
 def _notes(found: Compensation) -> Iterator[str]:
     """What the user should know."""
     arm = found.arm
+    after, before = (np.linalg.norm(error, axis=1) for error in (found.residual, found.before))
+    left = [found.targets.names[row] for row in np.flatnonzero(after > np.maximum(_LEFT * before, _SEEN))]
+    if left:
+        yield (
+            f"a part of the deflection is not taken back at {_listed(left)} (see residual_mm): more passes may help, "
+            "or the pose is singular, or the arm has fewer joints than a pose needs"
+        )
     held = _held(arm, found.answer)
     if held:
-        names = ", ".join(held[:_SHOWN]) + (f" and {len(held) - _SHOWN} more" if len(held) > _SHOWN else "")
         yield (
-            f"not identified, held at nominal: {names}; the targets load what it describes, and residual_ci95_mm does "
-            "not count what that may cost"
+            f"not identified, held at nominal: {_listed(held)}; the targets load what it describes, and "
+            "residual_ci95_mm does not count what that may cost"
         )
     yield from (f"{effect.name}: {_UNSTATED[effect.name]}" for effect in arm.model.effects if effect.name in _UNSTATED)
     if not arm.model.self_weight:
@@ -132,6 +139,12 @@ def _notes(found: Compensation) -> Iterator[str]:
             "the mass of a moved link is unknown: the sag under self-weight is not taken back, only that under the "
             "wrench"
         )
+
+
+def _listed(names: list[str]) -> str:
+    """Names as text, not too many."""
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(names[:_SHOWN]) + more
 
 
 def _held(arm: Arm, answer: Floats) -> list[str]:
@@ -158,5 +171,5 @@ def _lines(content: dict[str, Any]) -> tuple[str, ...]:
         f"95 % radius from the parameters: rms {radius['rms_mm']:.4f} mm, max {radius['max_mm']:.4f} mm",
     ]
     if content["extrapolated"]:
-        lines.append(f"outside the calibrated region: {', '.join(content['extrapolated'][:_SHOWN])}")
+        lines.append(f"outside the calibrated region: {_listed(content['extrapolated'])}")
     return (*lines, *misses_lines(content), *(f"note: {note}" for note in content["notes"]))

@@ -34,6 +34,8 @@ __all__ = ["Compensation", "Form", "compensate", "joint_matrix", "joint_shift"]
 Form = Literal["joint", "mirror"]
 
 _SETTLED = 1e-9  # rad or m: poses this near are reached, and steps this small change nothing
+_STEP = 0.05  # rad or m: joints that need more than this to take back a deflection are at a singular pose
+_FAR = 0.2  # rad or m from the target: no arm yields that much
 _LIMIT_SLACK = 1e-9  # rad or m
 _CONFIDENCE = 0.95
 
@@ -103,6 +105,7 @@ def compensate(arm: Arm, targets: Targets, form: Form = "joint", passes: int = 1
     robot = arm.model.robot
     wished = flange_poses(robot, targets.q)
     q, done = (_joint_form if form == "joint" else _mirror_form)(arm, targets, wished, passes)
+    _check_distance(arm, targets, q)
     _check_limits(arm, targets, q)
     real, rigid = tool_poses(arm, targets.at(q)), tool_poses(arm, targets)
     return Compensation(
@@ -147,7 +150,7 @@ def _joint_form(arm: Arm, targets: Targets, wished: Floats, passes: int) -> tupl
     robot = arm.model.robot
 
     def step(q: Floats, actual: Floats) -> Floats:
-        return -least_motion(robot, q, pose_errors(actual, wished))
+        return -least_motion(robot, q, pose_errors(actual, wished), largest=_STEP)
 
     q, more = _repeat(arm, targets, wished, targets.q + joint_shift(arm, targets), step, passes - 1)
     return q, 1 + more
@@ -158,8 +161,7 @@ def joint_shift(arm: Arm, targets: Targets) -> Floats:
 
     Exact where only joint springs yield, whatever the equilibrium; else of first order.
     """
-    parts = [_shift(arm, part) for part in targets.parts()]
-    return np.concatenate(parts) if parts else np.zeros_like(targets.q)
+    return np.concatenate([_shift(arm, part) for part in targets.parts()])
 
 
 def _shift(arm: Arm, targets: Targets) -> Floats:
@@ -172,7 +174,7 @@ def _shift(arm: Arm, targets: Targets) -> Floats:
         return -yielded
     robot = arm.model.robot
     rigid = flange_poses(robot, targets.q + yielded)
-    return -yielded - least_motion(robot, targets.q, pose_errors(response.pose, rigid))
+    return -yielded - least_motion(robot, targets.q, pose_errors(response.pose, rigid), largest=_STEP)
 
 
 def joint_matrix(arm: Arm) -> Floats:
@@ -227,15 +229,40 @@ def _check_limits(arm: Arm, targets: Targets, q: Floats) -> None:
     """
     robot = arm.model.robot
     inside = (q >= robot.lower - _LIMIT_SLACK) & (q <= robot.upper + _LIMIT_SLACK) & np.isfinite(q)
-    outside = np.argwhere(~inside)
-    if not len(outside):
+    if inside.all():
         return
-    row, joint = outside[0]
+    (row, joint), more = _first(~inside)
     unit, word = (MM, "mm") if robot.prismatic[joint] else (DEG, "deg")
     value, lower, upper = (x / unit for x in (q[row, joint], robot.lower[joint], robot.upper[joint]))
-    count = len(np.unique(outside[:, 0]))
-    more = f" (and {count - 1} more)" if count > 1 else ""
     raise Infeasible(
         f"target {targets.names[row]}{more}: joint {joint + 1} would be commanded to {value:.6g} {word}, allowed are "
         f"{lower:.6g} to {upper:.6g} {word}; the target cannot be reached under this wrench"
     )
+
+
+def _check_distance(arm: Arm, targets: Targets, q: Floats) -> None:
+    """Stop where a command is far from its target.
+
+    Raises:
+        Infeasible: The message names target, joint and distance.
+    """
+    change = q - targets.q
+    near = np.abs(change) <= _FAR
+    if near.all():
+        return
+    (row, joint), more = _first(~near)
+    unit, word = (MM, "mm") if arm.model.robot.prismatic[joint] else (DEG, "deg")
+    moved = change[row, joint] / unit
+    raise Infeasible(
+        f"target {targets.names[row]}{more}: joint {joint + 1} would be moved by {moved:.6g} {word} "
+        f"to take back a deflection, allowed are {_FAR / unit:.4g} {word}: the pose is nearly singular, or wrench or "
+        'compliances are far too large; move the target, or use form "joint", which leaves out what a singular pose '
+        "has lost"
+    )
+
+
+def _first(wrong: np.ndarray) -> tuple[tuple[int, int], str]:
+    """Row and column of the first True of (T, n), and how many more rows have one."""
+    row, column = np.argwhere(wrong)[0]
+    count = int(wrong.any(axis=1).sum())
+    return (int(row), int(column)), f" (and {count - 1} more)" if count > 1 else ""

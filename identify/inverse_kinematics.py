@@ -14,26 +14,31 @@ __all__ = ["TOLERANCE", "joints_near", "least_motion"]
 
 TOLERANCE = 1e-10  # m and rad
 _MAX_STEPS = 20
-_LEVER = 0.1  # m: a turn counts as the motion of a point at this distance
-_SINGULAR = 1e-4  # of the largest singular value; what is below is no direction the arm can be moved in
+_LEVER = 0.01  # m: a turn counts as the motion of a point at this distance, so that position comes first
+_SINGULAR = 1e-6  # of the largest singular value; what is below is no direction the arm can be moved in
 _WILD = 0.5  # rad or m: Newton's step beyond this leaves the neighbourhood
 
 
-def least_motion(robot: Robot, q: Floats, twist: Floats) -> Floats:
+def least_motion(robot: Robot, q: Floats, twist: Floats, *, largest: float = np.inf) -> Floats:
     """The smallest change of joint values (T, n) that moves the flange by small twists.
 
-    The least-squares one if the arm cannot do it: position first, with 1 rad for 0.1 m. Directions that a singular
-    pose has lost are left out.
+    The least-squares one if the arm cannot do it, with 1 rad for 10 mm. Left out are directions that a singular pose
+    has lost, and those in which the joints would have to move by more than ``largest`` because it is nearly lost.
 
     Args:
         robot: The robot.
         q: (T, n) joint values, rad or m.
         twist: (T, 6) motion of the flange origin and turn, base frame, m and rad.
+        largest: Largest motion along one singular direction of the Jacobian, rad or m.
     """
     frames = forward(robot, q)
     scale = np.repeat([1.0, _LEVER], 3)
     rows = scale[:, None] * jacobian(frames, frames.flange_origin)
-    change: Floats = (np.linalg.pinv(rows, rcond=_SINGULAR) @ (scale * twist)[..., None])[..., 0]
+    left, size, right = np.linalg.svd(rows, full_matrices=False)
+    along = ((scale * twist)[:, None] @ left)[:, 0]
+    lost = (size <= _SINGULAR * size[:, :1]) | (np.abs(along) > largest * size)
+    share = np.where(lost, 0.0, along / np.where(lost, 1.0, size))
+    change: Floats = (share[:, None] @ right)[:, 0]
     return change
 
 

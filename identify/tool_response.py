@@ -57,6 +57,8 @@ class Targets:
     def __post_init__(self) -> None:
         """Check shapes and make the arrays read-only."""
         count = len(self.names)
+        if not count:
+            raise InputError("targets: there are none; at least one expected")
         shapes = {"q": (count, np.shape(self.q)[-1]), "wrench": (count, 6), "in_flange": (count,), "attach": (count, 3)}
         for key, shape in shapes.items():
             array = frozen(getattr(self, key), bool if key == "in_flange" else np.float64)
@@ -190,8 +192,7 @@ def _pose_rates(response: Response, axes: Floats, rotation: Floats) -> Floats:
 
 def tool_poses(arm: Arm, targets: Targets) -> Floats:
     """(T, 4, 4) real poses of the flange of any number of targets, base frame, m; errors as in `tool_response`."""
-    found = [tool_response(arm, part, derivative=False).pose for part in targets.parts()]
-    return np.concatenate(found) if found else np.zeros((0, 4, 4))
+    return np.concatenate([tool_response(arm, part, derivative=False).pose for part in targets.parts()])
 
 
 def point_covariances(arm: Arm, targets: Targets) -> tuple[Floats, Floats]:
@@ -212,7 +213,7 @@ def point_covariances(arm: Arm, targets: Targets) -> tuple[Floats, Floats]:
         rows = response.derivative[:, :3] - skew(lever) @ response.derivative[:, 3:]
         spread.append(rows @ arm.covariance @ rows.swapaxes(1, 2))
         largest = np.maximum(largest, np.linalg.norm(rows, axis=1).max(axis=0, initial=0.0))
-    return (np.concatenate(spread) if spread else np.zeros((0, 3, 3))), largest
+    return np.concatenate(spread), largest
 
 
 def _first_bad(array: np.ndarray) -> int:

@@ -337,6 +337,48 @@ def test_a_mirrored_pose_that_an_arm_with_few_joints_cannot_take_is_refused():
     assert size(found.residual).max() < 0.01 * size(found.before).min()
 
 
+def yielding_foot():
+    """An arm on a foot that tilts by 1 mrad for each kNm, and a target with a singular wrist."""
+    study = kr270_study(**KNOWN, effects=("base_compliance@base",), equilibrium="loaded", masses=False)
+    arm = arm_with(study, {"base_compliance.base.rx": 1.0, "base_compliance.base.ry": 1.0})
+    targets = targets_of(study, 2, q=np.radians([[20.0, -60, 90, 30, 40, 10], [20.0, -60, 90, 30, 0, 10]]))
+    down = np.tile([300.0, 500.0, -1500.0, 0, 0, 0], (2, 1))
+    return arm, replace(targets, wrench=down, in_flange=np.zeros(2, dtype=bool))
+
+
+def test_a_singular_wrist_is_not_thrown_around_for_what_it_cannot_do():
+    arm, targets = yielding_foot()
+    found = compensate(arm, targets)
+    assert size(found.before).min() > 1e-3
+    assert np.abs(found.q - targets.q).max() < 0.05
+    assert size(found.residual)[0] < 1e-8
+    assert size(found.residual)[1] < 0.02 * size(found.before)[1]  # position first
+    assert found.residual_turn[1] > 1e-4
+
+
+def test_a_command_far_from_its_target_is_refused():
+    arm, targets = yielding_foot()
+    with pytest.raises(Infeasible, match=r"target T2: joint [46] would be moved by -?\d+\.?\d* deg .*nearly singular"):
+        compensate(arm, targets, "mirror")
+    soft = arm_with(kr270_study(**KNOWN, masses=False), {"joint_compliance.j2": 900.0})
+    with pytest.raises(Infeasible, match="joint 2 would be moved by"):
+        compensate(soft, targets)
+
+
+def test_directions_that_ask_for_too_much_are_left_out():
+    robot = kr270_study().robot
+    q = np.radians([[10.0, -60, 90, 30, 0.5, 10]])
+    wanted = np.array([[1e-3, 0, 0, 0, 0, 1e-3]])
+    frames = forward(robot, q)
+    jac = jacobian(frames, frames.flange_origin)[0]
+    exact = least_motion(robot, q, wanted)[0]
+    np.testing.assert_allclose(jac @ exact, wanted[0], atol=1e-12)
+    assert np.abs(exact).max() > 0.02
+    small = least_motion(robot, q, wanted, largest=0.01)[0]
+    assert np.abs(small).max() < 0.01
+    assert np.linalg.norm(jac[:3] @ small - wanted[0, :3]) < 0.02e-3
+
+
 def test_inverse_kinematics_finds_the_branch_it_starts_from():
     study = kr270_study()
     q = poses(study, 30, np.random.default_rng(2))
@@ -367,6 +409,25 @@ def test_the_least_motion_of_a_short_arm_favours_position():
 def test_malformed_targets_are_refused(key, value, message):
     with pytest.raises(InputError, match=message):
         replace(targets_of(kr270_study(), 3), **{key: value})
+
+
+def test_no_targets_are_refused():
+    nothing = np.zeros((0, 6))
+    with pytest.raises(InputError, match="targets: there are none"):
+        Targets((), nothing, nothing, np.zeros(0, dtype=bool), np.zeros((0, 3)))
+    arm = arm_with(kr270_study(**KNOWN), COMPLIANCE)
+    with pytest.raises(InputError, match="targets: there are none"):
+        error_map(arm, nothing, np.zeros(6))
+
+
+def test_more_targets_than_are_computed_at_once_are_the_same(monkeypatch):
+    study, values = complete(np.random.default_rng(5))
+    arm, targets = arm_with(study, values), targets_of(study, 11)
+    whole = compensate(arm, targets)
+    monkeypatch.setattr("identify.tool_response._CHUNK", 4)
+    parts = compensate(arm, targets)
+    np.testing.assert_allclose(parts.q, whole.q, atol=1e-13)
+    np.testing.assert_allclose(parts.radius95, whole.radius95, rtol=1e-9)
 
 
 def test_no_pass_is_refused():

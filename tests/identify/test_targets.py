@@ -1,5 +1,6 @@
 """Target files, the calibrated region, and the command compensate: from files to compensated.csv."""
 
+import inspect
 import json
 import logging
 from dataclasses import replace
@@ -9,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from doe.cli import run
+from identify import calibrated, compensation, inverse_kinematics, targets
 from identify.arrays import frozen
 from identify.calibrated import calibrated_region, check_region, region_json, region_of
 from identify.config import load_study
@@ -125,7 +127,7 @@ def test_sliding_joints_are_in_mm(tmp_path):
     (changed(0, fz_N=""), r"line 2, fz_N = '': is empty"),
     (changed(0, fz_N=1e300), r"line 2, fz_N = 1e\+300: at most 1e\+06 N or Nm expected; are the units wrong"),
     (changed(2, attach_x_mm=2e5), r"line 4, attach_x_mm = 200000.0: at most 100000 mm expected"),
-    (changed(1, q2_deg=-150.0), r"line 3, q2_deg = -150.0: target drill-2 is outside the joint limits: allowed are -140"),
+    (changed(1, q2_deg=-150.0), r"line 3, q2_deg = -150.0: target drill-2 is outside the joint limits: allowed are"),
 ])  # fmt: skip
 def test_what_is_wrong_with_a_target_is_named_with_line_and_value(study, tmp_path, rows, message):
     with pytest.raises(InputError, match=message):
@@ -365,9 +367,53 @@ def test_a_target_that_cannot_be_reached_exits_3(fitted, tmp_path, capsys):
     assert "target drill-1: joint 2 would be commanded to -140." in capsys.readouterr().err
 
 
+def test_what_a_pose_cannot_take_back_is_told(fitted, tmp_path, capsys):
+    """The study with a foot that tilts, and an arm stretched out: nothing moves it further along itself."""
+    content = json.loads(fitted.read_text(encoding="utf-8"))
+    del content["calibrated"]
+    content |= {"effects": ["joint_compliance", "base_compliance@base"], "options": {}, "covariance": [[0.0]]}
+    content["parameters"] = [{"name": "base_compliance.base.ry", "value": 1.0}]
+    path = tmp_path / "identify.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    stretched = float(np.degrees(-np.arctan2(41.0, 1200.0)))  # the wrist is in line with axes 2 and 3
+    rows = changed(0, q1_deg=0.0, q2_deg=-80.0, q3_deg=stretched, q4_deg=0.0, q5_deg=45.0, fx_N=-500.0)
+    assert command(path, write(tmp_path / "targets.csv", rows), tmp_path / "out") == 0
+    assert "a part of the deflection is not taken back at drill-1 (see residual_mm)" in capsys.readouterr().out
+
+
 def test_the_same_input_gives_the_same_bytes(fitted, tmp_path):
     path = write(tmp_path / "targets.csv")
     for name in "ab":
         assert command(fitted, path, tmp_path / name, "--quiet") == 0
     for file in ("compensate.json", "compensated.csv"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+# ---- what the pages say
+
+
+def test_every_key_and_column_is_documented(fitted, tmp_path):
+    assert command(fitted, write(tmp_path / "targets.csv"), tmp_path / "out", "--quiet") == 0
+    formats = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    told = json.loads((tmp_path / "out" / "compensate.json").read_text(encoding="utf-8"))
+    section = formats[formats.index("**Compensation**") : formats.index("**Diagnosis**")]
+    assert not [key for key in set(told) - {"schema", "provenance"} if f"`{key}`" not in section]
+    region = json.loads(fitted.read_text(encoding="utf-8"))["calibrated"]
+    section = formats[formats.index("**Calibrated region**") : formats.index("**Compensation**")]
+    assert not [key for key in {*region, *region["joints"][0]} if f"`{key}`" not in section]
+    section = " ".join(formats[formats.index("**Targets**") : formats.index("## Results")].split())
+    header = (tmp_path / "out" / "compensated.csv").read_text(encoding="utf-8").splitlines()[0].split(",")
+    for column in {*header, *HEADER} - {f"q{i}_deg" for i in range(2, 7)}:
+        assert column in section
+
+
+def test_limits_on_the_pages_are_those_of_the_code():
+    formats, theory = (" ".join((ROOT / "docs" / name).read_text(encoding="utf-8").split())
+                       for name in ("formats.md", "theory.md"))  # fmt: skip
+    assert f"outside the calibrated region by more than {100 * calibrated.BEYOND:g} % of the range" in formats
+    assert f"process wrench on the flange, at most {targets._LARGEST['wrench']:g}".replace("e+0", "e") in formats
+    assert f"would have to move by more than {compensation._STEP:g} rad (m)" in theory
+    assert f"1 rad counts as {1e3 * inverse_kinematics._LEVER:g} mm there" in theory
+    assert f"A command further than {compensation._FAR:g} rad (m) from its target is refused" in theory
+    default = inspect.signature(compensation.compensate).parameters["passes"].default
+    assert f"repeated, at most {default} times" in formats
