@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -96,16 +96,18 @@ def compensate(arm: Arm, targets: Targets, form: Form = "joint", passes: int = 1
         passes: Most corrections; it ends earlier where another one would change nothing. 1 is the one-shot form.
 
     Raises:
-        InputError: Fewer than one pass, or another number of joints than the robot has.
+        InputError: Fewer than one pass, an unknown form, or another number of joints than the robot has.
         Infeasible: A corrected target is outside the joint limits or cannot be reached.
         NoConvergence: The loaded arm finds no equilibrium.
     """
     if passes < 1:
         raise InputError(f"passes = {passes}: at least 1 expected")
+    if form not in get_args(Form):
+        raise InputError(f"form = {form!r}: allowed are {', '.join(get_args(Form))}")
     robot = arm.model.robot
     wished = flange_poses(robot, targets.q)
     q, done = (_joint_form if form == "joint" else _mirror_form)(arm, targets, wished, passes)
-    _check_distance(arm, targets, q)
+    _check_distance(arm, targets, q, form)
     _check_limits(arm, targets, q)
     real, rigid = tool_poses(arm, targets.at(q)), tool_poses(arm, targets)
     return Compensation(
@@ -240,7 +242,7 @@ def _check_limits(arm: Arm, targets: Targets, q: Floats) -> None:
     )
 
 
-def _check_distance(arm: Arm, targets: Targets, q: Floats) -> None:
+def _check_distance(arm: Arm, targets: Targets, q: Floats, form: Form) -> None:
     """Stop where a command is far from its target.
 
     Raises:
@@ -253,11 +255,11 @@ def _check_distance(arm: Arm, targets: Targets, q: Floats) -> None:
     (row, joint), more = _first(~near)
     unit, word = (MM, "mm") if arm.model.robot.prismatic[joint] else (DEG, "deg")
     moved = change[row, joint] / unit
+    other = ', or use form "joint", which leaves out what a singular pose has lost' if form == "mirror" else ""
     raise Infeasible(
-        f"target {targets.names[row]}{more}: joint {joint + 1} would be moved by {moved:.6g} {word} "
-        f"to take back a deflection, allowed are {_FAR / unit:.4g} {word}: the pose is nearly singular, or wrench or "
-        'compliances are far too large; move the target, or use form "joint", which leaves out what a singular pose '
-        "has lost"
+        f"target {targets.names[row]}{more}: joint {joint + 1} would be moved by {moved:.6g} {word} to take back a "
+        f"deflection, allowed are {_FAR / unit:.4g} {word}: the pose is nearly singular, or wrench or compliances are "
+        f"far too large; move the target{other}"
     )
 
 

@@ -430,8 +430,10 @@ def test_more_targets_than_are_computed_at_once_are_the_same(monkeypatch):
     np.testing.assert_allclose(parts.radius95, whole.radius95, rtol=1e-9)
 
 
-def test_no_pass_is_refused():
+def test_no_pass_and_unknown_forms_are_refused():
     study = kr270_study(**KNOWN)
+    with pytest.raises(InputError, match="form = 'both': allowed are joint, mirror"):
+        compensate(arm_with(study, COMPLIANCE), targets_of(study, 1), "both")
     with pytest.raises(InputError, match="passes = 0: at least 1 expected"):
         compensate(arm_with(study, COMPLIANCE), targets_of(study, 1), passes=0)
 
