@@ -1,9 +1,8 @@
-"""Expected error at the test poses: its covariance, its mean square, and the radius that holds it."""
+"""Expected error at the test poses: its covariance and its mean square."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -12,9 +11,7 @@ from identify.kinematics import forward, jacobian
 from identify.study import Study
 from identify.units import MM
 
-__all__ = ["Accuracy", "accuracy", "jitter_covariance", "radius"]
-
-_DRAWS = 2**14
+__all__ = ["Accuracy", "accuracy", "jitter_covariance"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,22 +58,3 @@ def jitter_covariance(study: Study) -> Floats:
     linear = jacobian(frames, points)[:, :3] * (study.noise.pose_jitter / MM)
     product: Floats = linear @ linear.swapaxes(1, 2)
     return product
-
-
-def radius(covariance: Floats, confidence: float) -> float:
-    """Radius that holds a zero-mean Gaussian 3-D error with this confidence, unit of the covariance's root.
-
-    By 16,384 quasi-random draws: good to about 0.1 %, the same at every call.
-    """
-    values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return float(np.quantile(np.linalg.norm(_standard_draws() @ root.T, axis=1), confidence))
-
-
-@lru_cache(maxsize=1)
-def _standard_draws() -> Floats:
-    """(16384, 3) standard normal points of a scrambled Sobol sequence."""
-    from scipy.stats.qmc import MultivariateNormalQMC
-
-    draws: Floats = MultivariateNormalQMC(np.zeros(3), rng=np.random.default_rng(0)).random(_DRAWS)
-    return draws

@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
@@ -163,6 +163,40 @@ def predict(study: Path, result: Path, plan: Path, *, out: Path, common: Common 
     from identify.commands import run_predict
 
     return _finish(lambda: run_predict(study, result, plan, seed=common.seed), out, common)
+
+
+@app.command
+def compensate(
+    study: Path,
+    result: Path,
+    targets: Path,
+    *,
+    out: Path,
+    form: Literal["joint", "mirror"] = "joint",
+    passes: int = 10,
+    extrapolate: Annotated[bool, Parameter(negative="")] = False,
+    common: Common = _DEFAULT,
+) -> int:
+    """Correct the targets of a program for what the arm yields under process wrenches.
+
+    Args:
+        study: Study file (TOML).
+        result: identify.json or diagnose.json.
+        targets: Target file (CSV): target, q1_deg ..., fx_N ... mz_Nm.
+        out: Folder for compensate.json and compensated.csv.
+        form: joint: joint targets; mirror: mirrored poses, for programs with linear motions.
+        passes: Most corrections of each target; 1 is the one-shot form.
+        extrapolate: Also compensate targets outside the calibrated poses and loads, and mark them.
+        common: Options that every command has.
+    """
+    from identify.compensate_command import run_compensate
+
+    def run() -> Outcome:
+        return run_compensate(
+            study, result, targets, seed=common.seed, form=form, passes=passes, extrapolate=extrapolate
+        )
+
+    return _finish(run, out, common)
 
 
 @app.command

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from doe.accuracy import Accuracy, accuracy, radius
+from doe.accuracy import Accuracy, accuracy
 from doe.bounds import Bound
 from doe.candidates import Candidates
 from doe.confusability import SHOWN, confusability
@@ -21,6 +21,7 @@ from identify.commands import Outcome
 from identify.config import load_study
 from identify.diagnosis.library import Hypothesis
 from identify.effects.base import Parameter
+from identify.error_radius import radius
 from identify.experiment import Experiment, full_experiment
 from identify.identifiability import Identifiability, why_not
 from identify.study import Study

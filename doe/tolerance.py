@@ -8,13 +8,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from doe.accuracy import accuracy, jitter_covariance, radius
+from doe.accuracy import accuracy, jitter_covariance
 from doe.choice import Choice, choose
 from doe.guard import search
 from doe.information import covariance_of, information_of
 from doe.observations import target_rows
 from doe.pool import Pool
 from identify.arrays import Floats
+from identify.error_radius import radius
 from identify.errors import Infeasible, NotIdentifiable
 from identify.units import MM
 

@@ -37,8 +37,9 @@ def _kabsch(source: Floats, target: Floats, weights: Floats) -> Floats:
 
 
 def inverse(placement: Floats) -> Floats:
-    """Inverse of a rigid placement (4, 4)."""
-    back = np.eye(4)
-    back[:3, :3] = placement[:3, :3].T
-    back[:3, 3] = -placement[:3, :3].T @ placement[:3, 3]
+    """Inverse of rigid placements (..., 4, 4)."""
+    back = np.zeros_like(placement)
+    back[..., :3, :3] = placement[..., :3, :3].swapaxes(-1, -2)
+    back[..., :3, 3] = -(back[..., :3, :3] @ placement[..., :3, 3, None])[..., 0]
+    back[..., 3, 3] = 1.0
     return back

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Floats", "Ints", "frozen", "rotation_of", "rotation_vector", "skew"]
+__all__ = ["Floats", "Ints", "frozen", "rotation_of", "skew"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -37,12 +37,3 @@ def rotation_of(vector: Floats) -> Floats:
     second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
     matrix: Floats = np.eye(3) + first * cross + second * cross @ cross
     return matrix
-
-
-def rotation_vector(matrices: Floats) -> Floats:
-    """Rotation vectors (R, 3), rad, of rotation matrices (R, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    if not len(matrices):
-        return np.zeros((0, 3))
-    return np.asarray(Rotation.from_matrix(matrices).as_rotvec())

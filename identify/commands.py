@@ -27,7 +27,7 @@ from identify.tables import load_measurements, load_plan, measurements_csv, plan
 from identify.truth import Truth, load_truth
 from identify.units import MM
 
-__all__ = ["Outcome", "run_identify", "run_predict", "run_simulate"]
+__all__ = ["Outcome", "misses_lines", "run_identify", "run_predict", "run_simulate"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +86,11 @@ def _identify_lines(content: dict[str, Any]) -> tuple[str, ...]:
             f"measured deflection: rms {content['deflection']['rms_mm']:.4f} mm, "
             f"compensated {content['compensated_percent']:.1f} %"
         )
-    lines += _misses_lines(content)
+    lines += misses_lines(content)
     return (*lines, *(f"note: {note}" for note in content["notes"]))
 
 
-def _misses_lines(content: dict[str, Any]) -> list[str]:
+def misses_lines(content: dict[str, Any]) -> list[str]:
     """What the linear model misses, and whether that is counted."""
     misses = content["linear_misses"]
     if misses is None:
@@ -128,7 +128,7 @@ def run_simulate(study_file: Path, plan_file: Path, truth_file: Path | None, *, 
         "linear_misses": linear_misses(model, experiment, values),
     }
     inputs = (*study.inputs, plan_file, *(() if truth_file is None else (truth_file,)))
-    lines = (f"{len(data.positions)} readings of {len(data.experiment.visits)} poses", *_misses_lines(content))
+    lines = (f"{len(data.positions)} readings of {len(data.experiment.visits)} poses", *misses_lines(content))
     return Outcome("simulate", content, inputs, {"measurements.csv": measurements_csv(data, study)}, lines)
 
 
@@ -176,7 +176,7 @@ def run_predict(study_file: Path, result_file: Path, plan_file: Path, *, seed: i
     lines = (
         f"{len(position)} readings predicted; std of the position rms {content['std_rms_mm']:.4f} mm, "
         f"max {content['std_max_mm']:.4f} mm",
-        *_misses_lines(content),
+        *misses_lines(content),
     )
     tables = {"predicted.csv": predicted_csv(experiment, position, std)}
     return Outcome("predict", content, (*study.inputs, result_file, plan_file), tables, lines)

@@ -119,15 +119,22 @@ class CsvTable:
             self._note(name, rows, lambda _: "an id expected: letters, digits, '_', '.' and '-'", problems)
         return cells
 
-    def choices(self, name: str, allowed: Sequence[str], problems: Problems) -> Ints:
-        """(R,) index into ``allowed`` of each id; an unknown id is noted once, with its first line."""
+    def choices(self, name: str, allowed: Sequence[str], problems: Problems, *, known: str = "the study has") -> Ints:
+        """(R,) index into ``allowed`` of each id; an unknown id is noted once, with its first line.
+
+        Args:
+            name: The column.
+            allowed: The ids.
+            problems: Where to note what is wrong.
+            known: What to say before the allowed ids.
+        """
         cells = self.ids(name, problems)
         place = {word: i for i, word in enumerate(allowed)}
         for word in dict.fromkeys(cells):
             if word not in place and _ID.fullmatch(word):
                 line, count = self.lines[cells.index(word)], cells.count(word)
                 what = f"unknown {name} in {count} row{'s'[: count > 1]}{nearest(word, allowed)}"
-                problems.add(f"line {line}, {name}", f"{what}; the study has: {', '.join(allowed)}", word)
+                problems.add(f"line {line}, {name}", f"{what}; {known}: {', '.join(allowed)}", word)
         return np.fromiter((place.get(cell, 0) for cell in cells), np.int64, len(cells))
 
     def _note(self, name: str, rows: Ints, what: Callable[[str], str], problems: Problems) -> None:

@@ -27,8 +27,14 @@ from identify.errors import InputError
 from identify.experiment import Experiment
 from identify.kinematics import forward
 from identify.model import Model
-from identify.response import Response, frame_displacement, marker_positions, nuisance_columns
-from identify.units import MRAD, SI_OF
+from identify.response import (
+    Response,
+    frame_displacement,
+    marker_positions,
+    nuisance_columns,
+    target_turns,
+)
+from identify.units import SI_OF
 
 __all__ = ["deviation_residual", "dual_respond"]
 
@@ -61,9 +67,9 @@ def dual_respond(model: Model, experiment: Experiment, values: Floats, *, deriva
         nothing = np.zeros((len(point), 3, 0))
         return Response(scene, position, moved, nothing, nothing, turned)
     direct = np.concatenate(
-        [nuisance_columns(model, scene, point @ turn.T + shift), _as_read(scene, columns, point)], axis=2
+        [nuisance_columns(model, scene, point @ turn.T + shift, values), _as_read(scene, columns, point)], axis=2
     )
-    bent = _with_bending(model, scene, direct, position, twists)
+    bent = _with_bending(model, scene, direct, position, twists, values)
     return Response(scene, position, moved, bent, direct, turned)
 
 
@@ -129,13 +135,14 @@ def _load_torque(experiment: Experiment, there: Postures) -> Floats:
             continue
         part = Postures(there.robot, there.pose[shots], there.screws[shots])
         if experiment.wrench is not None:
-            acting = [apply_wrench(part, experiment.wrench[shots], load.attach, frame="flange")]
+            fixed = np.zeros(len(shots)) if experiment.wrench_in_world is None else experiment.wrench_in_world[shots]
+            acting = {"flange": experiment.wrench[shots] * (fixed == 0)[:, None]}
+            acting["world"] = experiment.wrench[shots] - acting["flange"]
         else:
-            weight = np.concatenate([load.mass * there.robot.gravity_base, np.zeros(3)])
-            given = np.concatenate([load.force, load.moment])
-            frame = "flange" if load.in_flange else "world"
-            acting = [apply_wrench(part, weight, load.attach), apply_wrench(part, given, load.attach, frame=frame)]
-        torque[shots] = sum(joint_torques(part, each) for each in acting)
+            acting = {"base": np.concatenate([load.mass * there.robot.gravity_base, np.zeros(3)])}
+            acting["flange" if load.in_flange else "world"] = np.concatenate([load.force, load.moment])
+        for frame, wrench in acting.items():
+            torque[shots] += joint_torques(part, apply_wrench(part, wrench, load.attach, frame=frame))
     return torque
 
 
@@ -171,19 +178,20 @@ def _turned(model: Model, scene: Scene, at: Postures, moved: Floats, values: Flo
     small[:, 1:4] = 0.5 * moved[rows]
     pose = product(exp(small), at.pose[scene.row_pose[rows]])
     if model.turn_size:
-        sizes = MRAD * values[model.nuisance_size - model.turn_size : model.nuisance_size].reshape(-1, 3)
         seat = np.zeros((len(rows), 8))
-        seat[:, 1:4] = 0.5 * sizes[scene.experiment.row_marker[rows]]
+        seat[:, 1:4] = 0.5 * target_turns(model, values)[scene.experiment.row_marker[rows]]
         pose = product(pose, exp(seat))
     return np.asarray(frame_displacement(model, values)[0] @ rotation(normalise(pose)))
 
 
-def _with_bending(model: Model, scene: Scene, direct: Floats, position: Floats, twists: Floats) -> Floats:
+def _with_bending(
+    model: Model, scene: Scene, direct: Floats, position: Floats, twists: Floats, values: Floats
+) -> Floats:
     """The columns with markers that ride on the deflected flange, and a frame that turns the deflected arm."""
     if not model.nuisance_size:
         return direct
     columns, markers = direct.copy(), slice(model.frame_size, model.frame_size + model.marker_size)
-    columns[:, :, : model.frame_size] = nuisance_columns(model, scene, position)[:, :, : model.frame_size]
+    columns[:, :, : model.frame_size] = nuisance_columns(model, scene, position, values)[:, :, : model.frame_size]
     turn = np.where((scene.on_base | scene.turning)[:, None], 0.0, twists[scene.experiment.row_shot, 3:])
     columns[:, :, markers] += skew(turn) @ direct[:, :, markers]
     return columns

@@ -13,6 +13,7 @@ import numpy as np
 
 from identify.arrays import Floats, Ints, frozen
 from identify.loads import LoadCase, Markers
+from identify.rotations import matrices_of
 
 __all__ = ["Experiment", "Measurements", "full_experiment"]
 
@@ -37,6 +38,8 @@ class Experiment:
             is; None where there are no such rows.
         wrench: (S, 6) measured wrench at the attach point of the shot's load, deflected flange frame,
             N and Nm; replaces the loads where given.
+        wrench_in_world: (S,) True for wrenches that are fixed in the world instead: they do not turn with the flange.
+            None: all turn with it.
         approach: (V, n) sign of the last motion of each joint, or None.
         time: (R,) s, or None.
         temperature: (R,) degC, or None.
@@ -55,6 +58,7 @@ class Experiment:
     row_shot: Ints
     row_marker: Ints
     wrench: Floats | None = None
+    wrench_in_world: np.ndarray | None = None
     approach: Floats | None = None
     time: Floats | None = None
     temperature: Floats | None = None
@@ -70,6 +74,8 @@ class Experiment:
                 object.__setattr__(self, key, frozen(getattr(self, key)))
         if self.row_turns is not None:
             object.__setattr__(self, "row_turns", frozen(self.row_turns, bool))
+        if self.wrench_in_world is not None:
+            object.__setattr__(self, "wrench_in_world", frozen(self.wrench_in_world, bool))
         if self.start is None and self.time is not None and len(self.time):
             object.__setattr__(self, "start", float(self.time.min()))
 
@@ -113,6 +119,7 @@ class Experiment:
             **{key: getattr(self, key)[shots] for key in ("shot_visit", "shot_load", "shot_repeat")},
             row_shot=row_shot.ravel(),
             wrench=None if self.wrench is None else self.wrench[shots],
+            wrench_in_world=None if self.wrench_in_world is None else self.wrench_in_world[shots],
         )
 
     def with_rows(self, rows: Ints) -> Experiment:
@@ -149,10 +156,8 @@ class Measurements:
 
     def orientations(self, rows: np.ndarray) -> Floats:
         """(K, 3, 3) orientations of some rows (indices or mask), in the frame of the measurements."""
-        from scipy.spatial.transform import Rotation
-
         assert self.quaternions is not None
-        return np.asarray(Rotation.from_quat(self.quaternions[rows], scalar_first=True).as_matrix())
+        return matrices_of(self.quaternions[rows])
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""

@@ -9,17 +9,18 @@ constant load (Chen and Kao, Int. J. Robot. Res. 19(9), 835-847, 2000); springs 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identify.arrays import Floats, Ints, rotation_vector
+from identify.arrays import Floats, Ints
 from identify.effects import Effect, Fields, Scene, SpringSet
 from identify.elastic_chain import chain_index, deflect
 from identify.errors import NoConvergence
 from identify.experiment import Experiment
 from identify.kinematics import Frames
 from identify.robot import Robot
+from identify.rotations import rotation_vectors
 from identify.springs import Springs, carried, cross, load_torque, motion, self_weight_torque
 from identify.units import SI_OF
 
@@ -217,16 +218,22 @@ def _loads(experiment: Experiment, robot: Robot) -> _Load:
     """What acts on the flange in every shot."""
     index = experiment.shot_load
     attach = np.array([load.attach for load in experiment.loads])[index]
+    world = robot.world_R_base
     if experiment.wrench is not None:
-        nothing = np.zeros_like(attach)
-        return _Load(attach, nothing, nothing, experiment.wrench[:, :3], experiment.wrench[:, 3:])
+        fixed = np.zeros(len(index), bool) if experiment.wrench_in_world is None else experiment.wrench_in_world
+        return _split(attach, experiment.wrench[:, :3], experiment.wrench[:, 3:], ~fixed[:, None], world)
     turning = np.array([load.in_flange for load in experiment.loads])[index, None]
     force, moment = (np.array([getattr(load, key) for load in experiment.loads])[index] for key in ("force", "moment"))
     weight = np.array([load.mass for load in experiment.loads])[index, None] * robot.gravity_base
-    world = robot.world_R_base
+    load = _split(attach, force, moment, turning, world)
+    return replace(load, force=load.force + weight)
+
+
+def _split(attach: Floats, force: Floats, moment: Floats, turning: np.ndarray, world: Floats) -> _Load:
+    """Wrenches that turn with the flange where ``turning`` (S, 1) says so; the others are world vectors."""
     return _Load(
         attach,
-        np.where(turning, 0.0, force @ world) + weight,
+        np.where(turning, 0.0, force @ world),
         np.where(turning, 0.0, moment @ world),
         np.where(turning, force, 0.0),
         np.where(turning, moment, 0.0),
@@ -247,7 +254,7 @@ def _turn(scene: Scene, frames: Frames, pose: Ints) -> Floats:
     """(S, 3) how the flange is turned against the undeflected one, rad; zero where no row asks for it."""
     if scene.experiment.row_turns is None:
         return np.zeros_like(frames.flange_origin)
-    return rotation_vector(frames.flange_rotation @ scene.frames.flange_rotation[pose].swapaxes(1, 2))
+    return rotation_vectors(frames.flange_rotation @ scene.frames.flange_rotation[pose].swapaxes(1, 2))
 
 
 def _following(scene: Scene, state: _State, points: Floats, compliance: Floats) -> Floats:

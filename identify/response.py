@@ -25,6 +25,7 @@ __all__ = [
     "marker_positions",
     "nuisance_columns",
     "respond",
+    "target_turns",
     "through_columns",
     "undeflected",
 ]
@@ -43,7 +44,8 @@ class Response:
             target in rows that read a turn.
         deflection: (R, 3) the elastic and other displacement contained in it, m (rotation vectors, rad, in such rows).
         derivative: (R, 3, p) m or rad per unit of each parameter; (R, 3, 0) if not asked for. Columns behind the last
-            one that is wanted may be left out.
+            one that is wanted may be left out. Those of turns are of first order: off by the share that the deflection
+            is of a radian.
         direct: The same without the part that works through the deflection (geometry and markers bend it); rank is
             decided on these columns, so that nothing counts as known through its second-order trace alone.
         turned: (K, 3, 3) orientations of the 6-D targets in the K rows that read a turn, base frame.
@@ -291,18 +293,19 @@ def frame_displacement(model: Model, values: Floats) -> tuple[Floats, Floats]:
 def _derivative(model: Model, scene: Scene, position: Floats, values: Floats, wanted: np.ndarray) -> Floats:
     """(R, 3, p); the turn of the frame parameters, which are small, is left out of the other columns."""
     columns = effect_columns(model, scene, values, wanted)
-    nuisance = nuisance_columns(model, scene, position)
+    nuisance = nuisance_columns(model, scene, position, values)
     columns[:, :, : nuisance.shape[2]] = nuisance
     return columns
 
 
-def nuisance_columns(model: Model, scene: Scene, position: Floats) -> Floats:
+def nuisance_columns(model: Model, scene: Scene, position: Floats, values: Floats) -> Floats:
     """Columns of frame, markers and turns of markers on the undeflected arm, (R, 3, nuisance), m or rad per unit.
 
     Args:
         model: The model.
         scene: The rows.
         position: (R, 3) where the markers are, displaced by the frame parameters, m.
+        values: (p,) parameters in their units.
     """
     columns = np.zeros((len(scene.point), 3, model.nuisance_size))
     if model.frame_size:
@@ -314,7 +317,9 @@ def nuisance_columns(model: Model, scene: Scene, position: Floats) -> Floats:
         columns[:, :, markers] = _by_marker(scene, _marker_turn(scene))
     if model.turn_size:
         turns = slice(model.nuisance_size - model.turn_size, model.nuisance_size)
-        columns[:, :, turns] = _by_marker(scene, _target_turn(scene))[:, :, : model.turn_size]
+        columns[:, :, turns] = _by_marker(scene, _target_turn(scene, target_turns(model, values)))[
+            :, :, : model.turn_size
+        ]
     return columns
 
 
@@ -360,10 +365,18 @@ def _marker_turn(scene: Scene) -> Floats:
     return turn
 
 
-def _target_turn(scene: Scene) -> Floats:
+def target_turns(model: Model, values: Floats) -> Floats:
+    """(M, 3) how the 6-D targets are turned about the axes of the flange, rotation vectors, rad."""
+    sizes: Floats = MRAD * values[model.nuisance_size - model.turn_size : model.nuisance_size].reshape(-1, 3)
+    return sizes
+
+
+def _target_turn(scene: Scene, sizes: Floats) -> Floats:
     """(R, 3, 3) turn of each row by how its own target sits on the flange, rad per mrad; zero for positions."""
-    turn: Floats = MRAD * scene.frames.flange_rotation[scene.row_pose]
-    turn[~scene.turning] = 0.0
+    turn = np.zeros((len(scene.point), 3, 3))
+    rows = np.flatnonzero(scene.turning)
+    marker = scene.experiment.row_marker[rows]
+    turn[rows] = MRAD * scene.frames.flange_rotation[scene.row_pose[rows]] @ rotation_of(sizes)[marker]
     return turn
 
 
@@ -372,8 +385,7 @@ def _turned(model: Model, scene: Scene, deflection: Floats, values: Floats) -> F
     rows = np.flatnonzero(scene.turning)
     flange = scene.frames.flange_rotation[scene.row_pose[rows]]
     if model.turn_size:
-        sizes = MRAD * values[model.nuisance_size - model.turn_size : model.nuisance_size].reshape(-1, 3)
-        flange = flange @ rotation_of(sizes)[scene.experiment.row_marker[rows]]
+        flange = flange @ rotation_of(target_turns(model, values))[scene.experiment.row_marker[rows]]
     return np.asarray(frame_displacement(model, values)[0] @ rotation_of(deflection[rows]) @ flange)
 
 

@@ -81,6 +81,7 @@ def only_visit(data: Measurements, visit: int) -> Measurements:
         shot_repeat=experiment.shot_repeat[shots],
         row_shot=row_shot,
         wrench=None if experiment.wrench is None else experiment.wrench[shots],
+        wrench_in_world=None if experiment.wrench_in_world is None else experiment.wrench_in_world[shots],
         approach=None if experiment.approach is None else experiment.approach[[visit]],
     )
     return _numbers_of(data, rows, part)

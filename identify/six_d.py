@@ -15,6 +15,7 @@ from identify.arrays import Floats, Ints
 from identify.experiment import Experiment, Measurements
 from identify.kinematics import forward
 from identify.model import Model
+from identify.rotations import quaternions
 from identify.study import Study
 
 __all__ = ["as_read", "facing", "positions_only", "with_turns", "with_turns_read"]
@@ -66,17 +67,15 @@ def as_read(experiment: Experiment, positions: Floats, turned: Floats) -> tuple[
         The experiment without them, (R - K, 3) positions, and (R - K, 4) quaternions w, x, y, z, w >= 0; markers on
         the base have none and get that of no turn.
     """
-    from scipy.spatial.transform import Rotation
-
     turning = experiment.turning
     kept = np.flatnonzero(~turning)
     plain = replace(experiment.with_rows(kept), row_turns=None)
     key = experiment.row_shot * len(experiment.markers.names) + experiment.row_marker
     order = np.argsort(key[kept])
     place = order[np.searchsorted(key[kept][order], key[turning])]
-    quaternions = np.tile([1.0, 0.0, 0.0, 0.0], (len(kept), 1))
-    quaternions[place] = Rotation.from_matrix(turned).as_quat(canonical=True, scalar_first=True)
-    return plain, positions[kept], quaternions
+    units = np.tile([1.0, 0.0, 0.0, 0.0], (len(kept), 1))
+    units[place] = quaternions(turned)
+    return plain, positions[kept], units
 
 
 def facing(model: Model, data: Measurements, placement: Floats) -> tuple[Measurements, Floats]:
@@ -107,6 +106,6 @@ def facing(model: Model, data: Measurements, placement: Floats) -> tuple[Measure
         seen = flange[own].swapaxes(1, 2) @ placement[:3, :3] @ read[own]
         mounts[marker] = Rotation.from_matrix(seen).mean().as_matrix()
     faced = read @ mounts[experiment.row_marker[rows]].swapaxes(1, 2)
-    quaternions = np.array(data.quaternions)
-    quaternions[rows] = Rotation.from_matrix(faced).as_quat(canonical=True, scalar_first=True)
-    return replace(data, quaternions=quaternions), mounts
+    units = np.array(data.quaternions)
+    units[rows] = quaternions(faced)
+    return replace(data, quaternions=units), mounts

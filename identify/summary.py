@@ -12,6 +12,7 @@ import numpy as np
 
 from identify.alignment import inverse
 from identify.arrays import Floats
+from identify.calibrated import CalibratedRegion, calibrated_region, region_json, region_of
 from identify.effects.thermal import REFERENCE
 from identify.errors import InputError
 from identify.experiment import Experiment
@@ -67,6 +68,7 @@ def identification_json(result: Identification) -> dict[str, Any]:
         },
         "deflection": {"rms_mm": result.deflection[0].rms / MM, "max_mm": result.deflection[0].maximum / MM},
         "compensated_percent": result.compensated_percent,
+        "calibrated": region_json(calibrated_region(result.study.robot, data.experiment), result.study.robot),
         "worst": [_bad_row(result, int(row)) for row in result.worst],
         "ignored_columns": list(data.ignored_columns),
         "notes": list(result.notes),
@@ -167,6 +169,7 @@ class Fitted:
         base_T_measurement: (4, 4) m.
         start: The time from which the fit counted drift and warm-up, s; None if its readings had no times.
         by_temperature: The fit knew temperatures, so that growth is per kelvin; None if the result does not say.
+        calibrated: What was measured; None if the result does not say.
     """
 
     model: Model
@@ -175,6 +178,7 @@ class Fitted:
     base_T_measurement: Floats
     start: float | None = None
     by_temperature: bool | None = None
+    calibrated: CalibratedRegion | None = None
 
 
 def load_fitted(path: str | Path, study: Study) -> Fitted:
@@ -195,6 +199,7 @@ def load_fitted(path: str | Path, study: Study) -> Fitted:
         placement = np.array(content["frames"]["base_T_measurement"], dtype=np.float64).reshape(4, 4)
         start = None if content.get("time_start_s") is None else float(content["time_start_s"])
         by_temperature = content.get("by_temperature")
+        calibrated = region_of(content["calibrated"], study.robot) if "calibrated" in content else None
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -212,7 +217,7 @@ def load_fitted(path: str | Path, study: Study) -> Fitted:
     covariance = np.zeros((len(values), len(values)))
     covariance[np.ix_(index, index)] = spread
     placement[:3, 3] *= MM
-    return Fitted(model, values, covariance, placement, start, by_temperature)
+    return Fitted(model, values, covariance, placement, start, by_temperature, calibrated)
 
 
 def predict(fitted: Fitted, experiment: Experiment) -> tuple[Floats, Floats]:

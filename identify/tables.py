@@ -22,6 +22,9 @@ from identify.study import Study
 from identify.units import MM
 
 __all__ = [
+    "POSITION",
+    "QUATERNION",
+    "WRENCH",
     "PlanTable",
     "joint_columns",
     "load_measurements",
@@ -34,9 +37,9 @@ __all__ = [
 
 _log = logging.getLogger("elastocal")
 
-_POSITION = ("x_mm", "y_mm", "z_mm")
-_WRENCH = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
-_QUATERNION = ("qw", "qx", "qy", "qz")
+POSITION = ("x_mm", "y_mm", "z_mm")
+WRENCH = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
+QUATERNION = ("qw", "qx", "qy", "qz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +122,7 @@ def _known_columns(study: Study) -> list[str]:
         "time_s",
         "temperature_C",
         *_approach_columns(study),
-        *_WRENCH,
+        *WRENCH,
     ]
 
 
@@ -141,12 +144,12 @@ def load_measurements(path: str | Path, study: Study) -> Measurements:
     """
     table = read_csv(path)
     problems = Problems(table.path)
-    table.require(["pose", "load", "marker", "repeat", *joint_columns(study), *_POSITION])
-    ignored = table.warn_unknown([*_known_columns(study), "marker", *_POSITION, *_QUATERNION])
+    table.require(["pose", "load", "marker", "repeat", *joint_columns(study), *POSITION])
+    ignored = table.warn_unknown([*_known_columns(study), "marker", *POSITION, *QUATERNION])
     rows = _rows(table, study, problems)
     marker = table.choices("marker", study.markers.names, problems)
     repeat = table.integers("repeat", problems)
-    position = table.numbers(_POSITION, problems)
+    position = table.numbers(POSITION, problems)
     quaternion = _quaternions(table, problems)
     problems.settle()
 
@@ -197,7 +200,7 @@ def _rows(table: CsvTable, study: Study, problems: Problems) -> _Rows:
         names=tuple(names),
         load=table.choices("load", [load.name for load in study.loads], problems),
         q=table.numbers(joint_columns(study), problems),
-        wrench=table.numbers(_WRENCH, problems) if table.group(_WRENCH) else None,
+        wrench=table.numbers(WRENCH, problems) if table.group(WRENCH) else None,
         approach=_approach(table, study, problems),
         time=table.numbers(["time_s"], problems)[:, 0] if "time_s" in table.cells else None,
         temperature=table.numbers(["temperature_C"], problems)[:, 0] if "temperature_C" in table.cells else None,
@@ -215,9 +218,9 @@ def _approach(table: CsvTable, study: Study, problems: Problems) -> Floats | Non
 
 def _quaternions(table: CsvTable, problems: Problems) -> Floats | None:
     """(R, 4) unit quaternions with w >= 0, or None where the columns are missing."""
-    if not table.group(_QUATERNION):
+    if not table.group(QUATERNION):
         return None
-    raw = table.numbers(_QUATERNION, problems)
+    raw = table.numbers(QUATERNION, problems)
     norm = np.linalg.norm(raw, axis=1)
     wrong = np.flatnonzero(np.abs(norm - 1) > 1e-3)
     if len(wrong):
@@ -266,7 +269,7 @@ def _check_unloaded(table: CsvTable, rows: _Rows, study: Study, problems: Proble
     if len(wrong):
         count = len(wrong)
         what = f"rows of the unloaded state {name} must hold zeros (in {count} row{'s'[: count > 1]})"
-        problems.add(f"line {table.lines[wrong[0]]}, {', '.join(_WRENCH)}", what)
+        problems.add(f"line {table.lines[wrong[0]]}, {', '.join(WRENCH)}", what)
 
 
 def _visit_approach(approach: Floats | None, visit: Ints, names: Sequence[str], path: Path) -> Floats | None:
@@ -394,11 +397,11 @@ def measurements_csv(data: Measurements, study: Study) -> str:
         header,
         columns,
         [
-            (_POSITION, data.positions / MM),
+            (POSITION, data.positions / MM),
             (["time_s"], e.time if e.time is None else e.time[:, None]),
             (["temperature_C"], e.temperature if e.temperature is None else e.temperature[:, None]),
             *_conditions(e, study, e.row_shot),
-            (_QUATERNION, data.quaternions),
+            (QUATERNION, data.quaternions),
         ],
     )
     return csv_text(header, columns)
@@ -410,7 +413,7 @@ _Block = tuple[Sequence[str], np.ndarray | None]  # names of columns and their v
 def _conditions(e: Experiment, study: Study, shot: Ints) -> list[_Block]:
     """How poses are approached and what was measured to act, for the given shots."""
     approach = None if e.approach is None else e.approach[e.shot_visit[shot]].astype(np.int64)
-    return [(_approach_columns(study), approach), (_WRENCH, None if e.wrench is None else e.wrench[shot])]
+    return [(_approach_columns(study), approach), (WRENCH, None if e.wrench is None else e.wrench[shot])]
 
 
 def _append(header: list[str], columns: list[Sequence[str] | np.ndarray], blocks: list[_Block]) -> None:
@@ -429,7 +432,7 @@ def predicted_csv(experiment: Experiment, positions: Floats, std: Floats) -> str
         [e.loads[i].name for i in e.shot_load[e.row_shot]],
         [e.markers.names[i] for i in e.row_marker],
     ]
-    header = ["pose", "load", "marker", *_POSITION, "sx_mm", "sy_mm", "sz_mm"]
+    header = ["pose", "load", "marker", *POSITION, "sx_mm", "sy_mm", "sz_mm"]
     return csv_text(header, [*ids, *(positions / MM).T, *(std / MM).T])
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from identify.arrays import Floats, Ints, rotation_vector
+from identify.arrays import Floats, Ints
 from identify.dual_rows import deviation_residual, dual_respond
 from identify.effects import Scene
 from identify.experiment import Measurements
@@ -23,6 +23,7 @@ from identify.identifiability import triangle
 from identify.model import Model
 from identify.noise import Whitening, joined, reading_covariance, whitening
 from identify.response import Response, respond, undeflected
+from identify.rotations import rotation_vectors
 from identify.row_distances import row_distances
 from identify.selection import take_rows
 from identify.study import Noise, RowAlgebra
@@ -313,7 +314,7 @@ def _residual(part: Part, state: State, response: Response, rows: RowAlgebra) ->
     if rows == "dual_quaternion_deviations":
         return deviation_residual(response, experiment, read, turned)
     residual: Floats = read - response.position
-    residual[experiment.turning] = rotation_vector(turned @ response.turned.swapaxes(1, 2))
+    residual[experiment.turning] = rotation_vectors(turned @ response.turned.swapaxes(1, 2))
     return residual
 
 

@@ -7,7 +7,7 @@ design, identification and compensation all use the same two functions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from identify.arrays import Floats
+from identify.arrays import Floats, Ints
 from identify.experiment import Experiment
 from identify.kinematics import Frames
 from identify.loads import LoadCase, Markers
@@ -338,12 +338,10 @@ def _load_torque(
 ) -> Floats:
     """Torque of what hangs on the flange or of the measured wrench, (S, s); ``springs`` are those of all poses."""
     torque: Floats | None = None
-    for index, load in enumerate(experiment.loads):
-        shots = np.flatnonzero((experiment.shot_load == index) & ~experiment.shot_unloaded)
+    for shots in _alike(experiment):
         if len(shots):
-            measured = None if experiment.wrench is None else experiment.wrench[shots]
             there = _at(frames, experiment.shot_pose[shots])
-            part = load_torque(springs if there is frames else springs_of(there), *_wrench(load, measured, there))
+            part = load_torque(springs if there is frames else springs_of(there), *_wrench(experiment, shots, there))
             torque = np.zeros((len(experiment.shot_load), part.shape[1])) if torque is None else torque
             torque[shots] = part
     if torque is None:
@@ -351,18 +349,41 @@ def _load_torque(
     return torque
 
 
-def _wrench(load: LoadCase, measured: Floats | None, frames: Frames) -> tuple[Floats, Floats, Floats]:
-    """Point, force and moment (S, 3) of a load case, or of measured wrenches (S, 6) in the flange frame."""
-    robot = frames.robot
-    if measured is not None:
-        force, moment = measured[:, :3], measured[:, 3:]
-        force, moment = (np.einsum("sij,sj->si", frames.flange_rotation, v) for v in (force, moment))
-    else:
-        turn = frames.flange_rotation if load.in_flange else robot.world_R_base.T[None]
-        force = turn @ load.force + load.mass * robot.gravity_base
-        moment = turn @ load.moment
+def _alike(experiment: Experiment) -> Iterator[Ints]:
+    """Loaded shots that are computed together: all that were measured, else those of each load case."""
+    loaded = ~experiment.shot_unloaded
+    if experiment.wrench is not None:
+        yield np.flatnonzero(loaded)
+        return
+    for index in range(len(experiment.loads)):
+        yield np.flatnonzero((experiment.shot_load == index) & loaded)
+
+
+def _wrench(experiment: Experiment, shots: Ints, frames: Frames) -> tuple[Floats, Floats, Floats]:
+    """Point, force and moment (S, 3) that act in shots which are alike, base frame; ``frames`` are theirs."""
+    if experiment.wrench is not None:
+        attach = np.array([load.attach for load in experiment.loads])[experiment.shot_load[shots]]
+        return frames.point(attach), *_measured(experiment, shots, frames)
+    load, robot = experiment.loads[experiment.shot_load[shots[0]]], frames.robot
+    turn = frames.flange_rotation if load.in_flange else robot.world_R_base.T[None]
     shape = frames.flange_origin.shape
-    return frames.point(load.attach), np.broadcast_to(force, shape), np.broadcast_to(moment, shape)
+    force = turn @ load.force + load.mass * robot.gravity_base
+    return (
+        frames.point(load.attach),
+        np.broadcast_to(force, shape),
+        np.broadcast_to(turn @ load.moment, shape),
+    )
+
+
+def _measured(experiment: Experiment, shots: Ints, frames: Frames) -> tuple[Floats, Floats]:
+    """Force and moment (S, 3) of measured wrenches, base frame."""
+    assert experiment.wrench is not None
+    turn = frames.flange_rotation
+    if experiment.wrench_in_world is not None:
+        turn = np.where(experiment.wrench_in_world[shots, None, None], frames.robot.world_R_base.T, turn)
+    given = experiment.wrench[shots]
+    force, moment = (np.einsum("sij,sj->si", turn, v) for v in (given[:, :3], given[:, 3:]))
+    return force, moment
 
 
 def _at(frames: Frames, index: np.ndarray) -> Frames:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi, norm
 
-from doe.accuracy import accuracy, jitter_covariance, radius
+from doe.accuracy import accuracy, jitter_covariance
+from identify.error_radius import radius
 from identify.kinematics import forward
 from tests.doe.study_files import ARM, KR270, study
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doe import approximate_design, exact_design
-from doe.accuracy import accuracy, radius
+from doe.accuracy import accuracy
 from doe.candidates import rounded
 from doe.evaluate import evaluate
 from doe.feasible import check, joint_range
@@ -15,6 +15,7 @@ from doe.observations import observer
 from doe.plan import plan
 from doe.pool import build_pool
 from identify.arrays import frozen
+from identify.error_radius import radius
 from identify.errors import Infeasible, NotIdentifiable
 from identify.experiment import full_experiment
 from identify.study import TestPose

@@ -79,8 +79,8 @@ def test_what_every_effect_does_to_a_turn_is_what_it_does_to_points_on_lever_arm
     read = with_turns(plain)
     there = respond(model, read, values, bending=False)
     points, rotation = lever_arms(plain, there.scene.frames.flange_rotation)
-    expected = turn_of_points(respond(model, points, values, bending=False).derivative, rotation)
-    np.testing.assert_allclose(there.derivative[read.turning], expected, rtol=1e-7, atol=1e-12)
+    expected = turn_of_points(respond(model, points, values, bending=False).direct, rotation)
+    np.testing.assert_allclose(there.direct[read.turning], expected, rtol=1e-7, atol=1e-12)
     np.testing.assert_array_equal(
         there.derivative[~read.turning], respond(model, plain, values, bending=False).derivative
     )
@@ -117,7 +117,7 @@ def test_turns_have_the_derivatives_of_the_orientations_themselves(loaded):
         numeric = (turned(values + nudge) - turned(values - nudge)) / 2e-2
         analytic = there.derivative[read.turning, :, index]
         size = np.abs(numeric).max() + 1e-12
-        assert np.abs(numeric - analytic).max() < 5e-3 * size, name  # a deflection of some mrad is what it is off by
+        assert np.abs(numeric - analytic).max() < 5e-3 * size, name  # a deflection of some mrad
     positions = ~read.turning
     np.testing.assert_allclose(
         there.derivative[positions], differences(model, read, values)[positions], rtol=1e-5, atol=1e-10
