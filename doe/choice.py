@@ -12,9 +12,9 @@ from doe.candidates import rounded
 from doe.feasible import check, joint_range
 from doe.guard import blind_spot, guarded_search
 from doe.information import information_of, standard_deviations
-from doe.pool import Pool
 from doe.objective import Objective
 from doe.observations import Observer
+from doe.pool import Pool
 from doe.refine import Others, Refinement, refine
 from identify.arrays import Floats, Ints
 

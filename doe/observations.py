@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from identify.arrays import Floats, Ints
 from doe.subject import Subject
+from identify.arrays import Floats, Ints
 from identify.effects import Parameter, build_scene
 from identify.errors import InputError, NotIdentifiable
 from identify.experiment import Experiment, full_experiment

@@ -15,7 +15,16 @@ from identify.arrays import Floats, Ints
 from identify.effects import Parameter
 from identify.model import Model
 
-__all__ = ["TOLERANCE", "Dropped", "Identifiability", "explained", "independent_columns", "triangle", "why_not", "why_zero"]
+__all__ = [
+    "TOLERANCE",
+    "Dropped",
+    "Identifiability",
+    "explained",
+    "independent_columns",
+    "triangle",
+    "why_not",
+    "why_zero",
+]
 
 TOLERANCE = 1e-9
 _CHUNK = 100_000

@@ -89,7 +89,7 @@ def _tracker(table: TrackerSection) -> Tracker:
     )
 
 
-def test_pose(table: ArmPoseSection, robot: Robot, weight: float = 1.0) -> TestPose:
+def test_pose(table: ArmPoseSection, robot: Robot, weight: float) -> TestPose:
     """A test pose in SI."""
     return TestPose(
         q=np.array(table.joints_deg) * np.where(robot.prismatic, MM, DEG),

@@ -131,7 +131,7 @@ def _check_models(study: TwoArmStudy, models: tuple[Model, Model], problems: Pro
         if _weighs(arm, model, study.shared):
             problems.add(
                 key,
-                "the weight of the other arm hangs on the shared joints too, and only changes between loads are free of it; "
+                "the other arm hangs on the shared joints too, and only changes between loads are free of its weight: "
                 'set [model] reference = "differences" there',
                 arm.study.path.name,
             )
@@ -157,13 +157,13 @@ def _check_shared(
         missing = arms[0] if first is None else arms[1]
         problems.add(
             f"[[arms]] {arms.index(missing) + 1} study",
-            f"its model lacks {name}, which belongs to both arms; list the same effects of shared joints in both studies",
+            f"its model lacks {name}, which belongs to both arms; list the same effects of shared joints in both",
             missing.study.path.name,
         )
     elif first.nominal != second.nominal:
         problems.add(
             "[[arms]] 2 study",
-            f"[model.nominal] {name} = {second.nominal:g}, the study of {arms[0].name} says {first.nominal:g}; it is one "
-            "and the same",
+            f"[model.nominal] {name} = {second.nominal:g}, the study of {arms[0].name} says {first.nominal:g}; "
+            "both must be equal",
             arms[1].study.path.name,
         )

@@ -7,7 +7,6 @@ common: the joints they share, the tasks they face and what the plan is asked fo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +90,9 @@ def _arms(tables: object, path: Path, problems: Problems) -> tuple[Arm, Arm] | N
     if len(set(names)) < len(names):
         problems.add("[[arms]] 2 name", "[[arms]] 1 has this name; every arm needs its own", names[1])
     if "weight" in names:
-        problems.add(f"[[arms]] {names.index('weight') + 1} name", "is a key of [[test_poses]]; choose another", "weight")
+        problems.add(
+            f"[[arms]] {names.index('weight') + 1} name", "is a key of [[test_poses]]; choose another", "weight"
+        )
     return (arms[0], arms[1]) if len(arms) == 2 and arms[0] and arms[1] else None
 
 
@@ -138,9 +139,11 @@ def _task(table: object, arms: Sequence[Arm], heading: str, problems: Problems) 
     if len(problems.lines) > before or common is None:
         return None
     first, second = (
-        test_pose(section, arm.study.robot) for section, arm in zip(sections, arms, strict=True) if section is not None
+        test_pose(section, arm.study.robot, common.weight)
+        for section, arm in zip(sections, arms, strict=True)
+        if section is not None
     )
-    return Task((replace(first, weight=common.weight), replace(second, weight=common.weight)), common.weight)
+    return Task((first, second), common.weight)
 
 
 def _pose(table: Mapping[str, Any], arm: Arm, heading: str, problems: Problems) -> ArmPoseSection | None:

@@ -87,7 +87,7 @@ def task_points(study: TwoArmStudy) -> Floats:
 def shared_parameters(model: Model, joints: int) -> frozenset[str]:
     """Names of the parameters that sit below the first joint which is an arm's own.
 
-    They are springs of the shared joints and of what carries these, and errors of the shared joints that no load causes.
+    They are springs of the shared joints and of what carries these, and errors of these joints that no load causes.
 
     Args:
         model: The model of one arm.
