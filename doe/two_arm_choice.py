@@ -17,7 +17,7 @@ from identify.arrays import Floats, Ints
 
 __all__ = ["ArmVisits", "TwoArmChoice", "choose_for_both"]
 
-_TURNS = (0, 1, 0, 1)  # the arm that moves while the other one's visits stay; more turns gain less than a percent
+_TURNS = (0, 1, 0, 1)  # the arm that moves while the visits of the other one stay; a third pass moves nothing any more
 
 log = logging.getLogger("elastocal")
 

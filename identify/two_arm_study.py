@@ -135,7 +135,8 @@ def _inside(effect: Effect, joints: int) -> list[bool]:
     if not joints or effect.of_reading or (effect.springs is None and effect.yields):
         return [False] * len(effect.parameters)
     if effect.springs is not None:
-        return [_below(effect.springs, term.first, joints) for term in effect.terms]
+        springs = effect.springs
+        return [_below(springs, term.first, joints) and _below(springs, term.second, joints) for term in effect.terms]
     shared = {f"j{joint + 1}" for joint in range(joints)}
     return [_place(parameter.name) in shared for parameter in effect.parameters]
 
