@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 import tomli_w
 
+from identify import two_arm_checks
 from identify.config import load_study
 from identify.errors import InputError
 from identify.model import model_of
 from identify.robot_files import load_robot
+from identify.schema import ArmPoseSection, ArmSection, TwoArmPlanSection, WaistSection
 from identify.two_arm_config import holds_two_arms, load_two_arm_study
 from identify.two_arm_study import shared_parameters, task_points, unsupported
 from tests.doe.two_arm_files import BOTH, SDA5F, UP, both, write_both
@@ -289,3 +291,26 @@ def test_a_wrong_file_is_refused(tmp_path):
     path.write_text(tomli_w.dumps(BOTH))
     with pytest.raises(InputError, match=r"a\.toml cannot be read"):
         load_two_arm_study(path)
+
+
+def test_every_key_is_documented_with_the_limit_of_the_code():
+    text = (SDA5F.parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    section = text[text.index("### Two arms that face one task") : text.index("## The truth of a simulation")]
+    schemas = (ArmSection, WaistSection, TwoArmPlanSection, ArmPoseSection)
+    keys = {key for schema in schemas for key in schema.model_fields} | {"weight"}
+    assert len(keys) > 15
+    assert not [key for key in sorted(keys) if f"`{key}`" not in section]
+    assert f"at most {two_arm_checks._FAR * 1e3:g} mm apart" in " ".join(section.split())
+
+
+def test_the_example_of_the_page_is_a_study(tmp_path):
+    text = (SDA5F.parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    section = text[text.index("### Two arms that face one task") :]
+    example = section[section.index("```toml\n") + 8 :].partition("```")[0]
+    for name in ("sda5f_r1.toml", "sda5f_r2.toml"):
+        content = (SDA5F.parent / name).read_text().replace('"../robots/', f'"{SDA5F.parents[1]}/robots/')
+        (tmp_path / name).write_text(content)
+    (tmp_path / "both.toml").write_text(example)
+    study = load_two_arm_study(tmp_path / "both.toml")
+    assert study.shared == 1
+    assert np.linalg.norm(np.diff(task_points(study)[0], axis=0)) < 0.01
