@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,11 +12,13 @@ from doe.candidates import rounded
 from doe.feasible import check, joint_range
 from doe.guard import blind_spot, guarded_search
 from doe.information import information_of, standard_deviations
+from doe.objective import Objective
+from doe.observations import Observer
 from doe.pool import Pool
-from doe.refine import Refinement, refine
+from doe.refine import Others, Refinement, refine
 from identify.arrays import Floats, Ints
 
-__all__ = ["Choice", "choose"]
+__all__ = ["Choice", "choose", "off_grid"]
 
 _HARDLY = 1e-3  # loss of the criterion that a plan with fewer different poses is worth
 
@@ -54,12 +57,7 @@ def choose(pool: Pool, count: int, seed: int) -> Choice:
     refinement = None
     if study.plan.refine:
         log.info("refining the joint angles of %d experiments", count)
-        for limit in (None, most):  # most plans keep the limit without being told
-            refinement = _refine(pool, q, loads, limit)
-            refined = _together(pool, chosen, rounded(study, refinement.q), loads)
-            moved = pool.observer.blocks(refined, loads)[:, :, pool.known.kept]
-            if most is None or (standard_deviations(information_of(moved)) <= most * (1.0 + 1e-6)).all():
-                break
+        refined, moved, refinement = off_grid(pool.observer, pool.known.kept, aim, chosen, q, loads, most)
         if aim.value(information_of(moved)) < aim.value(information_of(grid)):
             q, own = refined, moved
     if refinement is not None and refinement.reason:
@@ -69,37 +67,84 @@ def choose(pool: Pool, count: int, seed: int) -> Choice:
     return Choice(q, loads, grid, own, refinement, notes)
 
 
-def _refine(pool: Pool, q: Floats, loads: Ints, limits: Floats | None) -> Refinement:
+def off_grid(
+    observer: Observer,
+    kept: Ints,
+    aim: Objective,
+    chosen: Ints,
+    q: Floats,
+    loads: Ints,
+    most: Floats | None,
+    others: Others | None = None,
+) -> tuple[Floats, Floats, Refinement]:
+    """Move the visits of one arm off the grid.
+
+    Args:
+        observer: What turns poses of this arm into blocks.
+        kept: Kept columns of its model.
+        aim: The criterion on all p kept parameters of the plan.
+        chosen: (n,) candidate of each visit; repeats of one may end at one pose.
+        q: (n, dof) joint values, rad or m.
+        loads: (n, L) loads.
+        most: (p,) standard deviations that must not be exceeded, or None.
+        others: What else belongs to the plan.
+
+    Returns:
+        Joint values (n, dof) as a plan file holds them, the blocks (n, k, p) and what was done. They may be no better.
+    """
+
+    def blocks(values: Floats) -> Floats:
+        own = observer.blocks(values, loads)[:, :, kept]
+        return own if others is None else others.spread(own)
+
+    def information(values: Floats) -> Floats:
+        own = information_of(blocks(values))
+        return own if others is None else own + others.rows.T @ others.rows
+
+    for limit in (None, most):  # most plans keep the limit without being told
+        refinement = _refine(observer, kept, aim, q, loads, limit, others)
+        refined = rounded(observer.study, refinement.q)
+        refined = _together(lambda values: aim.value(information(values)), chosen, refined)
+        if most is None or (standard_deviations(information(refined)) <= most * (1.0 + 1e-6)).all():
+            break
+    return refined, blocks(refined), refinement
+
+
+def _refine(
+    observer: Observer,
+    kept: Ints,
+    aim: Objective,
+    q: Floats,
+    loads: Ints,
+    limits: Floats | None,
+    others: Others | None,
+) -> Refinement:
     """Move the joint angles within limits, floor and the parameters' limits; self-collision is checked on arrival."""
-    study = pool.observer.study
+    study = observer.study
     lower, upper = joint_range(study)
     return refine(
-        pool.observer,
+        observer,
         q,
         loads,
-        pool.known.kept,
-        pool.objective.target(),
-        criterion=pool.objective.criterion,
+        kept,
+        aim.target(),
+        criterion=aim.criterion,
         lower=lower,
         upper=upper,
         floor=study.constraints.floor,
         max_std=limits,
         allowed=lambda moved: check(study, rounded(study, moved), loads).ok,
+        others=others,
     )
 
 
-def _together(pool: Pool, chosen: Ints, q: Floats, loads: Ints) -> Floats:
+def _together(value: Callable[[Floats], float], chosen: Ints, q: Floats) -> Floats:
     """Joint values in which repeats of one candidate that hardly parted stand at one pose again."""
-    value = _value(pool, q, loads)
+    reached = value(q)
     for candidate in np.unique(chosen):
         visits = np.flatnonzero(chosen == candidate)
         tidy = q.copy()
         tidy[visits] = q[visits[0]]
-        if len(visits) > 1 and _value(pool, tidy, loads) <= value * (1.0 + _HARDLY):
+        if len(visits) > 1 and value(tidy) <= reached * (1.0 + _HARDLY):
             q = tidy
     return q
-
-
-def _value(pool: Pool, q: Floats, loads: Ints) -> float:
-    """Criterion of visits, by the exact blocks."""
-    return pool.objective.value(information_of(pool.observer.blocks(q, loads)[:, :, pool.known.kept]))

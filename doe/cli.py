@@ -60,16 +60,20 @@ _DEFAULT = Common()
 
 @app.command
 def plan(study: Path, *, out: Path, common: Common = _DEFAULT) -> int:
-    """Pick the poses and loads to measure.
+    """Pick the poses and loads to measure, of one arm or of two that face one task.
 
     Args:
         study: Study file (TOML).
-        out: Folder for plan.json and plan.csv.
+        out: Folder for plan.json and plan.csv; with two arms a plan_<arm>.csv for each.
         common: Options that every command has.
     """
     from doe.commands import run_plan
+    from doe.two_arm_commands import run_plan_for_both
+    from identify.two_arm_config import holds_two_arms
 
-    return _finish(lambda: run_plan(study, seed=common.seed), out, common)
+    return _finish(
+        lambda: (run_plan_for_both if holds_two_arms(study) else run_plan)(study, seed=common.seed), out, common
+    )
 
 
 @app.command
@@ -78,13 +82,19 @@ def evaluate(study: Path, plan: Path, *, out: Path, common: Common = _DEFAULT) -
 
     Args:
         study: Study file (TOML).
-        plan: Pose file (CSV): pose, load, q1_deg ...
+        plan: Pose file (CSV): pose, load, q1_deg ... With two arms the folder that holds plan_<arm>.csv of each.
         out: Folder for evaluate.json.
         common: Options that every command has.
     """
     from doe.commands import run_evaluate
+    from doe.two_arm_commands import run_evaluate_both
+    from identify.two_arm_config import holds_two_arms
 
-    return _finish(lambda: run_evaluate(study, plan, seed=common.seed), out, common)
+    return _finish(
+        lambda: (run_evaluate_both if holds_two_arms(study) else run_evaluate)(study, plan, seed=common.seed),
+        out,
+        common,
+    )
 
 
 @app.command

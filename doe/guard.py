@@ -8,7 +8,7 @@ import numpy as np
 
 from doe.exact import exact_design
 from doe.information import information_of, standard_deviations
-from doe.pool import Pool
+from doe.pool import AnyPool
 from identify.arrays import Floats, Ints
 from identify.errors import Infeasible, NotIdentifiable
 
@@ -18,22 +18,22 @@ _GUARD_ROUNDS = 12
 _USUAL_PERCENT = 300.0  # the default of max_std_percent; beyond it a plan says what it does not see
 
 
-def search(pool: Pool, target: Floats, count: int, seed: int, criterion: str, *, effort: str = "normal") -> Ints:
+def search(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str, *, effort: str = "normal") -> Ints:
     """Indices of the chosen candidates, repeats included.
 
     Raises:
         NotIdentifiable: So many experiments cannot show what the criterion needs.
     """
-    study = pool.observer.study
+    asked = pool.observer
     try:
         found = exact_design(
-            pool.blocks, target, count, criterion=criterion, repeats=study.plan.repeats, effort=effort, seed=seed
+            pool.blocks, target, count, criterion=criterion, repeats=asked.settings.repeats, effort=effort, seed=seed
         )
     except NotIdentifiable as error:
         columns = [index for index in error.missing if isinstance(index, int)]
-        names = tuple(pool.observer.model.names[pool.known.kept[index]] for index in columns)
+        names = tuple(pool.observer.names[pool.known.kept[index]] for index in columns)
         raise NotIdentifiable(
-            f"{study.path}: [plan] {count} poses are too few: no plan of them shows "
+            f"{asked.path}: [plan] {count} poses are too few: no plan of them shows "
             f"{', '.join(names) or 'all parameters'}, which criterion {criterion} needs; plan more poses, more loads "
             "at each pose or more markers",
             names,
@@ -41,7 +41,7 @@ def search(pool: Pool, target: Floats, count: int, seed: int, criterion: str, *,
     return np.repeat(np.arange(len(found.counts)), found.counts)
 
 
-def guarded_search(pool: Pool, count: int, seed: int) -> tuple[Ints, Floats | None, tuple[str, ...]]:
+def guarded_search(pool: AnyPool, count: int, seed: int) -> tuple[Ints, Floats | None, tuple[str, ...]]:
     """Search; where the plan sees little but the test poses, weigh the parameters' own variances in.
 
     Returns:
@@ -51,13 +51,13 @@ def guarded_search(pool: Pool, count: int, seed: int) -> tuple[Ints, Floats | No
     Raises:
         Infeasible: ``max_std_percent`` cannot be met.
     """
-    aim, study = pool.objective, pool.observer.study
+    aim, asked = pool.objective, pool.observer
     chosen = search(pool, aim.target(), count, seed, aim.criterion)
     if aim.criterion not in {"test_pose", "G"}:
         return chosen, None, ()
     thorough = search(pool, np.eye(aim.size), count, seed, "A")
     best = standard_deviations(information_of(pool.blocks[thorough]))
-    percent = study.plan.max_std_percent
+    percent = asked.settings.max_std_percent
     name, ratio = _worst(pool, pool.blocks[chosen], best)
     if ratio <= percent / 100.0:
         return chosen, best, ()
@@ -75,15 +75,15 @@ def guarded_search(pool: Pool, count: int, seed: int) -> tuple[Ints, Floats | No
             return chosen, best, (note,)
         share *= 8.0
     raise Infeasible(
-        f"{study.path}: [plan] max_std_percent = {percent:g} cannot be met with {count} poses: the best plan for the "
+        f"{asked.path}: [plan] max_std_percent = {percent:g} cannot be met with {count} poses: the best plan for the "
         f"test poses tells {name} {_times(ratio)}; allow more"
     )
 
 
-def blind_spot(pool: Pool, own: Floats, best: Floats) -> tuple[str, ...]:
+def blind_spot(pool: AnyPool, own: Floats, best: Floats) -> tuple[str, ...]:
     """A note if ``max_std_percent`` allows a plan that sees little but the test poses, and it is one."""
     name, ratio = _worst(pool, own, best)
-    percent = pool.observer.study.plan.max_std_percent
+    percent = pool.observer.settings.max_std_percent
     if ratio <= _USUAL_PERCENT / 100.0 * (1.0 + 1e-6):
         return ()
     return (
@@ -92,11 +92,11 @@ def blind_spot(pool: Pool, own: Floats, best: Floats) -> tuple[str, ...]:
     )
 
 
-def _worst(pool: Pool, own: Floats, best: Floats) -> tuple[str, float]:
+def _worst(pool: AnyPool, own: Floats, best: Floats) -> tuple[str, float]:
     """The parameter that a plan (n, k, p) tells worst relative to ``best`` (p,), and how much worse."""
     ratio = standard_deviations(information_of(own)) / best
     worst = int(np.argmax(ratio))
-    return pool.observer.model.names[pool.known.kept[worst]], float(ratio[worst])
+    return pool.observer.names[pool.known.kept[worst]], float(ratio[worst])
 
 
 def _times(ratio: float) -> str:

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.information import inverse_root_of
-from doe.observations import Observer, target_rows
+from doe.observations import target_rows
+from doe.subject import Subject
 from identify.arrays import Floats
 from identify.errors import InputError, NotIdentifiable
-from identify.identifiability import Identifiability, why_not
+from identify.identifiability import Identifiability
 from identify.study import Criterion
 from identify.units import MM
 
@@ -67,20 +68,20 @@ class Objective:
         return float(squares.sum(axis=(1, 2)).max() if criterion == "G" else squares.sum())
 
 
-def objective(observer: Observer, known: Identifiability, criterion: Criterion) -> Objective:
+def objective(observer: Subject, known: Identifiability, criterion: Criterion) -> Objective:
     """The objective of a study on the kept parameters.
 
     Raises:
         InputError: The criterion needs test poses and there are none, or none that depends on a parameter.
         NotIdentifiable: Nothing can be identified, or the criterion needs a direction that the candidates cannot show.
     """
-    model, poses = observer.model, observer.study.test_poses
+    names, weights = observer.names, observer.weights
     if not len(known.kept):
-        reasons = "; ".join(f"{model.names[d.column]}: {why_not(model, d)}" for d in known.dropped[:5])
-        raise NotIdentifiable(f"{observer.study.path}: no parameter can be identified: {reasons}", model.names)
+        reasons = "; ".join(f"{names[d.column]}: {observer.why(d)}" for d in known.dropped[:5])
+        raise NotIdentifiable(f"{observer.path}: no parameter can be identified: {reasons}", names)
     rows = None
     try:
-        if poses or criterion in {"test_pose", "G"}:
+        if len(weights) or criterion in {"test_pose", "G"}:
             rows = target_rows(observer, known) / MM
     except NotIdentifiable as error:
         if criterion in {"test_pose", "G"}:
@@ -88,8 +89,7 @@ def objective(observer: Observer, known: Identifiability, criterion: Criterion) 
         log.warning("accuracy at the test poses cannot be told: %s", error)
     if criterion in {"test_pose", "G"} and rows is not None and not rows.any():
         raise InputError(
-            f"{observer.study.path}: [[test_poses]]: nothing that can be identified moves their points, so every plan "
+            f"{observer.path}: [[test_poses]]: nothing that can be identified moves their points, so every plan "
             "would be as good; give them a wrench that loads the joints, or put geometry into the model"
         )
-    weights = np.array([pose.weight for pose in poses])
     return Objective(criterion, rows, weights / max(weights.sum(), 1e-300), len(known.kept))

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from doe.subject import Subject
 from identify.arrays import Floats, Ints
-from identify.effects import build_scene
+from identify.effects import Parameter, build_scene
 from identify.errors import InputError, NotIdentifiable
 from identify.experiment import Experiment, full_experiment
-from identify.identifiability import Identifiability, independent_columns, triangle, why_not
+from identify.identifiability import Dropped, Identifiability, independent_columns, triangle, why_not
 from identify.kinematics import forward
 from identify.loads import LoadCase, Markers
 from identify.model import Model, model_of, without_nuisance
 from identify.noise import whitening
 from identify.response import effect_columns, respond, through_columns
 from identify.six_d import with_turns
-from identify.study import Study
+from identify.study import PlanSettings, Study, TestPose
 
-__all__ = ["Observer", "identifiable", "keep_columns", "observer", "stacked_visits", "target_rows"]
+__all__ = ["Observer", "error_rows", "identifiable", "keep_columns", "observer", "stacked_visits", "target_rows"]
 
 _CHUNK = 4096  # poses at a time: the fields of one chunk stay in cache
 
@@ -38,6 +40,44 @@ class Observer:
     study: Study
     model: Model
     reference: Literal["absolute", "differences"]
+
+    @property
+    def path(self) -> Path:
+        """The study file."""
+        return self.study.path
+
+    @property
+    def settings(self) -> PlanSettings:
+        """What the plan is asked for."""
+        return self.study.plan
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """(p,) parameters of the model."""
+        return self.model.parameters
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(p,) their names."""
+        return self.model.names
+
+    @property
+    def nuisance(self) -> np.ndarray:
+        """(p,) True for frame and markers."""
+        return self.model.nuisance
+
+    @property
+    def weights(self) -> Floats:
+        """(t,) weights of the test poses."""
+        return np.array([pose.weight for pose in self.study.test_poses])
+
+    def test_rows(self) -> Floats:
+        """(t, 3, p) error of the point of each test pose, base frame, m per unit of each parameter."""
+        return np.stack([error_rows(self.model, pose) for pose in self.study.test_poses])
+
+    def why(self, dropped: Dropped) -> str:
+        """In words, why a parameter cannot be identified."""
+        return why_not(self.model, dropped)
 
     def blocks(self, q: Floats, visit_loads: Ints) -> Floats:
         """Whitened observation blocks of visits.
@@ -108,7 +148,7 @@ def _station(study: Study) -> Floats:
     return tracker.station
 
 
-def target_rows(observer: Observer, known: Identifiability) -> Floats:
+def target_rows(observer: Subject, known: Identifiability) -> Floats:
     """Rows of the test poses on the kept parameters: error of the point per unit, weighted.
 
     Args:
@@ -122,35 +162,40 @@ def target_rows(observer: Observer, known: Identifiability) -> Floats:
         InputError: The study has no test poses.
         NotIdentifiable: A test pose depends on a direction that the candidates cannot show.
     """
-    study, model = observer.study, observer.model
-    if not study.test_poses:
-        raise InputError(f"{study.path}: [[test_poses]] is missing; the accuracy that counts is not defined")
-    rows = np.stack([_test_rows(observer, index) for index in range(len(study.test_poses))])
-    rows[:, :, model.nuisance | model.of_reading] = 0.0
+    if not len(observer.weights):
+        raise InputError(f"{observer.path}: [[test_poses]] is missing; the accuracy that counts is not defined")
+    rows, nuisance = observer.test_rows(), observer.nuisance
     scale = np.abs(rows).max(initial=0.0)
     for dropped in known.dropped:
         through = rows[:, :, list(dropped.alike)] @ dropped.coefficients
-        by_nuisance = any(model.nuisance[other] for other in dropped.alike)
+        by_nuisance = any(nuisance[other] for other in dropped.alike)
         if not by_nuisance and np.abs(rows[:, :, dropped.column] - through).max(initial=0.0) > 1e-6 * scale:
-            name = model.names[dropped.column]
+            name = observer.names[dropped.column]
             raise NotIdentifiable(
-                f"{study.path}: the test poses depend on {name}, which no candidate shows: {why_not(model, dropped)}. "
+                f"{observer.path}: the test poses depend on {name}, which no candidate shows: {observer.why(dropped)}. "
                 "Add loads in other directions, or test poses that do not need it",
                 (name,),
             )
     return rows[:, :, known.kept]
 
 
-def _test_rows(observer: Observer, index: int) -> Floats:
-    """(3, p) derivative of the deflected point of one test pose."""
-    pose = observer.study.test_poses[index]
+def error_rows(model: Model, pose: TestPose) -> Floats:
+    """Error of the point of one test pose.
+
+    Args:
+        model: The model.
+        pose: Joint values, wrench and the point that counts.
+
+    Returns:
+        (3, p) m per unit of each parameter, base frame; zero for what displaces readings and not the arm.
+    """
     load = LoadCase("test", attach=pose.attach, force=pose.wrench[:3], moment=pose.wrench[3:], in_flange=pose.in_flange)
     point = Markers(("point",), pose.point[None], np.array([False]))
     experiment = full_experiment(pose.q[None], np.zeros((1, 1), dtype=np.int64), (load,), point)
-    model = observer.model
     scene = build_scene(experiment, forward(model.robot, experiment.q), point.positions, self_weight=model.self_weight)
     columns: Floats = effect_columns(model, scene, model.nominal)[0]
     columns[:, ~model.nuisance] += _self_weight_columns(model, experiment)
+    columns[:, model.nuisance | model.of_reading] = 0.0
     return columns
 
 

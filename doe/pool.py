@@ -3,15 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from doe.candidates import Candidates, candidates
 from doe.objective import Objective, objective
 from doe.observations import Observer, identifiable, keep_columns, observer
+from doe.subject import Subject
 from identify.arrays import Floats
 from identify.identifiability import Identifiability
 from identify.study import Study
 
-__all__ = ["Pool", "build_pool"]
+__all__ = ["AnyPool", "Pool", "build_pool"]
+
+
+class AnyPool(Protocol):
+    """What the search needs of the candidates of one arm or of two."""
+
+    @property
+    def observer(self) -> Subject:
+        """What the plan is for."""
+
+    @property
+    def known(self) -> Identifiability:
+        """Parameters that the candidates can identify."""
+
+    @property
+    def blocks(self) -> Floats:
+        """(N, k, p) on the identifiable parameters."""
+
+    @property
+    def objective(self) -> Objective:
+        """The criterion on these parameters."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ from identify.arrays import Floats, Ints, frozen
 from identify.errors import InputError
 from identify.threads import one_thread
 
-__all__ = ["Refinement", "can_refine", "refine"]
+__all__ = ["Others", "Refinement", "can_refine", "refine"]
 
 _ASIDE = 0.002  # rad: the solver starts this far from the plan, so that it leaves a saddle point
 _APART = 0.02  # rad: visits of one pose start this far from each other
@@ -51,6 +51,30 @@ _IPOPT: dict[str, Any] = {
     "print_time": False,
     "show_eval_warnings": False,
 }
+
+
+@dataclass(frozen=True, eq=False)
+class Others:
+    """Experiments of the same plan that stay where they are, of another arm.
+
+    Attributes:
+        rows: (K, P) their whitened rows on all P kept parameters of the plan.
+        place: (p,) where the kept parameters of the moved experiments stand among these.
+    """
+
+    rows: Floats
+    place: Ints
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        object.__setattr__(self, "rows", frozen(self.rows))
+        object.__setattr__(self, "place", frozen(self.place, np.int64))
+
+    def spread(self, rows: Floats) -> Floats:
+        """Rows (..., p) of moved experiments on all parameters of the plan, (..., P)."""
+        wide = np.zeros((*rows.shape[:-1], self.rows.shape[1]))
+        wide[..., self.place] = rows
+        return wide
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +131,7 @@ def refine(
     floor: float | None = None,
     max_std: Floats | None = None,
     allowed: Callable[[Floats], np.ndarray] | None = None,
+    others: Others | None = None,
     max_iterations: int = 300,
 ) -> Refinement:
     """Improve a plan by moving its joint values; one row is one visit, a pose visited twice stands twice.
@@ -127,6 +152,7 @@ def refine(
             A plan that exceeds it to begin with must not get worse in this.
         allowed: ``(n, dof) -> (n,)`` bool for what has no derivative (self-collision): poses that it refuses
             may move half as far in the next round, and at last not at all.
+        others: What else belongs to the plan; then p above counts all parameters of the plan (but in ``kept``).
         max_iterations: Limit of the solver in each round.
 
     Returns:
@@ -136,7 +162,7 @@ def refine(
         InputError: Shapes do not fit, or a guard is given for D.
     """
     q = np.array(q, dtype=np.float64)
-    problem = _problem(observer, q, visit_loads, kept, lower, upper, floor)
+    problem = _problem(observer, q, visit_loads, kept, lower, upper, floor, others)
     problem = _with_goal(problem, criterion, target, guard, max_std)
     before = problem.value(q)
     reason = can_refine(observer, criterion)
@@ -162,7 +188,8 @@ class _Problem:
     Attributes:
         observer: What turns poses into blocks.
         visit_loads: (n, L).
-        kept: (p,) kept columns.
+        kept: Kept columns of the observer's model.
+        others: What else belongs to the plan, or None.
         basis: (p, p) coordinates in which the given plan has the information I.
         lower: (n, dof) lowest joint values.
         upper: (n, dof) highest joint values.
@@ -174,6 +201,7 @@ class _Problem:
     observer: Observer
     visit_loads: Ints
     kept: Ints
+    others: Others | None
     basis: Floats
     lower: Floats
     upper: Floats
@@ -191,7 +219,7 @@ class _Problem:
     def value(self, q: Floats, criterion: Criterion | None = None) -> float:
         """The criterion by the exact blocks; infinite where the information is singular."""
         try:
-            rows = _rows(self.observer, q, self.visit_loads, self.kept) @ self.basis
+            rows = _rows(self.observer, q, self.visit_loads, self.kept, self.others) @ self.basis
             return (criterion or self.criterion).value(rows.T @ rows)
         except np.linalg.LinAlgError:
             return float("inf")
@@ -212,23 +240,30 @@ class _Problem:
         return self.spread is None or self.value(moved, self.spread) <= max(1.0, self.value(q, self.spread))
 
 
-def _rows(observer: Observer, q: Floats, visit_loads: Ints, kept: Ints) -> Floats:
-    """Stacked whitened rows on the kept columns, (K, p)."""
+def _rows(observer: Observer, q: Floats, visit_loads: Ints, kept: Ints, others: Others | None) -> Floats:
+    """Stacked whitened rows of the whole plan on all its kept columns, (K, p)."""
     rows: Floats = observer.blocks(q, visit_loads)[:, :, kept].reshape(-1, len(kept))
-    return rows
+    return rows if others is None else np.vstack([others.spread(rows), others.rows])
 
 
 def _problem(
-    observer: Observer, q: Floats, visit_loads: Ints, kept: Ints, lower: Floats, upper: Floats, floor: float | None
+    observer: Observer,
+    q: Floats,
+    visit_loads: Ints,
+    kept: Ints,
+    lower: Floats,
+    upper: Floats,
+    floor: float | None,
+    others: Others | None,
 ) -> _Problem:
     """Check the plan and choose coordinates; the criterion is A until another is set."""
     dof = observer.study.robot.n
     if q.ndim != 2 or q.shape[1] != dof or visit_loads.shape[:1] != q.shape[:1] or len(q) == 0:
         raise InputError(f"q has shape {q.shape} and visit_loads {visit_loads.shape}, needed: (n, {dof}) and (n, L)")
-    basis = _whitening_basis(_rows(observer, q, visit_loads, kept))
+    basis = _whitening_basis(_rows(observer, q, visit_loads, kept, others))
     lowest, highest = (np.broadcast_to(np.asarray(bound, dtype=np.float64), q.shape) for bound in (lower, upper))
     return _Problem(
-        observer, visit_loads, kept, basis, lowest, highest, -np.inf if floor is None else floor, Mean(basis)
+        observer, visit_loads, kept, others, basis, lowest, highest, -np.inf if floor is None else floor, Mean(basis)
     )
 
 
@@ -236,7 +271,7 @@ def _with_goal(
     problem: _Problem, name: str, target: Floats | None, guard: Floats | None, max_std: Floats | None
 ) -> _Problem:
     """Set the criterion and the limits of the standard deviations."""
-    p = len(problem.kept)
+    p = len(problem.basis)
     spread = None
     if max_std is not None and np.isfinite(max_std).any():
         limited = np.flatnonzero(np.isfinite(max_std))
@@ -325,15 +360,20 @@ def _apart(problem: _Problem, q: Floats) -> Floats:
 def _solver(problem: _Problem, max_iterations: int) -> Any:
     """IPOPT for all visits at once, in scaled joint values; its parameter is the sharpness of the maximum."""
     count, dof = problem.lower.shape
-    shots, p = problem.visit_loads.shape[1], len(problem.kept)
+    shots, p = problem.visit_loads.shape[1], len(problem.basis)
     x, sharpness = ca.MX.sym("x", dof, count), ca.MX.sym("sharpness")
     q = ca.repmat(_joint_scale(problem), 1, count) * x
     block = block_function(problem.observer, shots, problem.kept).map(count)
-    rows = ca.DM(problem.basis.T) @ block(q, problem.loads)
-    objective = _goal(problem.criterion, p)(rows @ rows.T, sharpness)
+    own, known = problem.basis, np.zeros((p, p))
+    if problem.others is not None:
+        own, fixed = problem.basis[problem.others.place], problem.others.rows @ problem.basis
+        known = fixed.T @ fixed
+    rows = ca.DM(own.T) @ block(q, problem.loads)
+    information = rows @ rows.T + ca.DM(known)
+    objective = _goal(problem.criterion, p)(information, sharpness)
     limits = []  # all of them at least 0
     if problem.spread is not None:
-        limits.append(-_goal(problem.spread, p)(rows @ rows.T, _SHARPNESS[0]))
+        limits.append(-_goal(problem.spread, p)(information, _SHARPNESS[0]))
     if problem.floor > -np.inf:
         limits.append(ca.vec(problem.heights(q)) - (problem.floor + _CLEARANCE))
     programme = {"x": ca.vec(x), "f": objective, "g": ca.vertcat(*limits), "p": sharpness}

@@ -5,23 +5,35 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Callable
+from typing import Protocol, TypeVar
 
 import numpy as np
 
-from doe.accuracy import accuracy, jitter_covariance
+from doe.accuracy import jitter_covariance
 from doe.choice import Choice, choose
 from doe.guard import search
 from doe.information import covariance_of, information_of
 from doe.observations import target_rows
-from doe.pool import Pool
+from doe.pool import AnyPool, Pool
 from identify.arrays import Floats
 from identify.error_radius import radius
 from identify.errors import Infeasible, NotIdentifiable
 from identify.units import MM
 
-__all__ = ["sufficient"]
+__all__ = ["fewest", "sufficient"]
 
 _MOST = 2000  # experiments
+
+
+class Chosen(Protocol):
+    """A plan of some number of experiments."""
+
+    @property
+    def own(self) -> Floats:
+        """(n, k, p) blocks of the plan."""
+
+
+_C = TypeVar("_C", bound=Chosen)
 
 
 def sufficient(pool: Pool, seed: int) -> Choice:
@@ -30,10 +42,25 @@ def sufficient(pool: Pool, seed: int) -> Choice:
     Raises:
         Infeasible: The robot's own repeatability forbids it, or more experiments are needed than may be made.
     """
-    aim, settings = pool.objective, pool.observer.study.plan
+    return fewest(pool, seed, lambda: jitter_covariance(pool.observer.study), lambda count: choose(pool, count, seed))
+
+
+def fewest(pool: AnyPool, seed: int, jitter: Callable[[], Floats], choice_of: Callable[[int], _C]) -> _C:
+    """The same for the candidates of one arm or of two.
+
+    Args:
+        pool: The candidates.
+        seed: Seed of the search.
+        jitter: ``() -> (t, 3, 3)`` covariance of the test poses from the robots' own jitter, mm^2.
+        choice_of: ``(n) -> plan`` of n experiments.
+
+    Raises:
+        Infeasible: Repeatability forbids it, or more experiments are needed than may be made.
+    """
+    aim, settings = pool.objective, pool.observer.settings
     least = math.ceil(aim.size / pool.blocks.shape[1])
     most = _MOST if settings.repeats else min(_MOST, len(pool.blocks))
-    keeps = _tolerance_test(pool)
+    keeps = _tolerance_test(pool, jitter)
 
     def keeps_on_the_grid(count: int) -> bool:
         try:
@@ -42,9 +69,9 @@ def sufficient(pool: Pool, seed: int) -> Choice:
             return False
         return keeps(information_of(pool.blocks[chosen]))
 
-    def chosen(count: int) -> Choice | None:
+    def chosen(count: int) -> _C | None:
         try:
-            return choose(pool, count, seed)
+            return choice_of(count)
         except (NotIdentifiable, Infeasible):  # too few
             return None
 
@@ -73,36 +100,37 @@ def sufficient(pool: Pool, seed: int) -> Choice:
     return found
 
 
-def _too_many(pool: Pool, most: int) -> Infeasible:
+def _too_many(pool: AnyPool, most: int) -> Infeasible:
     """The error for a tolerance that no allowed number of experiments keeps."""
-    study = pool.observer.study
-    tolerance = (study.plan.tolerance or 0.0) / MM
+    asked = pool.observer
+    tolerance = (asked.settings.tolerance or 0.0) / MM
     return Infeasible(
-        f"{study.path}: [plan] tolerance_mm = {tolerance:g} needs more than {most} experiments; "
+        f"{asked.path}: [plan] tolerance_mm = {tolerance:g} needs more than {most} experiments; "
         "allow a larger tolerance, heavier loads or a better instrument"
     )
 
 
-def _tolerance_test(pool: Pool) -> Callable[[Floats], bool]:
+def _tolerance_test(pool: AnyPool, jitter: Callable[[], Floats]) -> Callable[[Floats], bool]:
     """``information (p, p) -> bool``: is the tolerance kept at every test pose?
 
     Raises:
         Infeasible: The robot's own repeatability forbids it.
     """
-    study, aim = pool.observer.study, pool.objective
-    rows = target_rows(pool.observer, pool.known) / MM
-    tolerance, confidence = (study.plan.tolerance or 0.0) / MM, study.plan.confidence
-    own = max(radius(jitter, confidence) for jitter in jitter_covariance(study))
+    asked, aim = pool.observer, pool.objective
+    rows = target_rows(asked, pool.known) / MM
+    tolerance, confidence = (asked.settings.tolerance or 0.0) / MM, asked.settings.confidence
+    repeatability = jitter()
+    own = max(radius(scatter, confidence) for scatter in repeatability)
     if own >= tolerance:
         raise Infeasible(
-            f"{study.path}: [plan] tolerance_mm = {tolerance:g}: the robot's own pose jitter alone gives {own:.3g} mm "
+            f"{asked.path}: [plan] tolerance_mm = {tolerance:g}: the robot's own pose jitter alone gives {own:.3g} mm "
             f"at a test pose with confidence {confidence:g}; no number of experiments removes it"
         )
 
     def keeps(information: Floats) -> bool:
         if not np.isfinite(aim.value(information, "test_pose")):
             return False
-        reached = accuracy(study, rows, covariance_of(information))
-        return max(radius(total, confidence) for total in reached.covariance + reached.jitter) <= tolerance
+        reached = rows @ covariance_of(information) @ rows.swapaxes(1, 2)
+        return max(radius(total, confidence) for total in reached + repeatability) <= tolerance
 
     return keeps

@@ -65,7 +65,13 @@ def load_study(path: str | Path) -> Study:
     """
     path = Path(path)
     problems = Problems(path)
-    file = _tables(read_toml(path), problems)
+    data = read_toml(path)
+    if "arms" in data:
+        raise InputError(
+            f"{path}: [[arms]]: this is a study of two arms, which only plan and evaluate take; give the study of one "
+            "of its arms, which stands under [[arms]] study"
+        )
+    file = _tables(data, problems)
     robot, robot_file = _robot(file, path, problems)
     check_study(file, robot, problems)
     problems.settle()
@@ -206,7 +212,7 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study
         rows=model.rows,
         nominal=MappingProxyType(dict(model.nominal)),
         options=file.options,
-        test_poses=tuple(test_pose(pose, robot) for pose in file.test_poses or []),
+        test_poses=tuple(test_pose(pose, robot, pose.weight) for pose in file.test_poses or []),
         plan=plan_settings(file.plan or PlanSection(), loads),
         constraints=constraints(file.constraints or ConstraintsSection()),
         reduce=reduce_settings(file.reduce or ReduceSection()),

@@ -6,15 +6,25 @@ it adds nothing, is held at its nominal value and is reported with the columns i
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from identify.arrays import Floats, Ints
+from identify.effects import Parameter
 from identify.model import Model
 
-__all__ = ["TOLERANCE", "Dropped", "Identifiability", "independent_columns", "triangle", "why_not"]
+__all__ = [
+    "TOLERANCE",
+    "Dropped",
+    "Identifiability",
+    "explained",
+    "independent_columns",
+    "triangle",
+    "why_not",
+    "why_zero",
+]
 
 TOLERANCE = 1e-9
 _CHUNK = 100_000
@@ -114,16 +124,26 @@ def _explained(upper: Floats, norms: Floats, kept: Ints, dropped: list[tuple[int
 
 
 def why_not(model: Model, dropped: Dropped) -> str:
-    """In words, why a parameter cannot be identified."""
-    names = model.names
+    """In words, why a parameter of a model cannot be identified."""
+    return explained(model.parameters, dropped, lambda column: why_zero(model, column))
+
+
+def explained(parameters: Sequence[Parameter], dropped: Dropped, zero: Callable[[int], str]) -> str:
+    """In words, why one of these parameters cannot be identified; ``zero`` tells why a column is zero."""
+    names = [parameter.name for parameter in parameters]
     if np.isfinite(dropped.std):
-        unit = model.parameters[dropped.column].unit
+        unit = parameters[dropped.column].unit
         return f"these data tell it to no better than {dropped.std:.2g} {unit}; held at its nominal value"
     if dropped.alike:
         others = ", ".join(names[other] for other in dropped.alike[:4])
         more = f" and {len(dropped.alike) - 4} more" if len(dropped.alike) > 4 else ""
         return f"moves the markers exactly like {others}{more}; held at its nominal value"
+    return zero(dropped.column)
+
+
+def why_zero(model: Model, column: int) -> str:
+    """In words, why no reading depends on a parameter."""
     for effect, where in zip(model.effects, model.effect_slices, strict=True):
-        if where.start <= dropped.column < where.stop:
-            return effect.why_zero(dropped.column - where.start)
+        if where.start <= column < where.stop:
+            return effect.why_zero(column - where.start)
     return "no reading depends on it"

@@ -140,33 +140,57 @@ class ModelChoiceSection(Section):
     effects: list[Text]
 
 
-class TestPoseSection(Section):
-    """One of ``[[test_poses]]``."""
-
-    __test__ = False
+class ArmPoseSection(Section):
+    """What one arm does at a test pose."""
 
     joints_deg: list[Number]
     wrench: Wrench = [0.0] * 6
     frame: Axes = "world"
     attach_mm: Vector = [0.0, 0.0, 0.0]
     point_mm: Vector | None = None
+
+
+class TestPoseSection(ArmPoseSection):
+    """One of ``[[test_poses]]``."""
+
+    __test__ = False
+
     weight: Positive = 1.0
 
 
-class PlanSection(Section):
-    """``[plan]``."""
+class TwoArmPlanSection(Section):
+    """``[plan]`` of two arms: what is common to them."""
 
     poses: Count | None = None
     tolerance_mm: Positive | None = None
     confidence: Annotated[Positive, Field(lt=1)] = 0.95
-    loads: Annotated[list[Id], Field(min_length=1)] | None = None
     criterion: Literal["test_pose", "A", "D", "E", "G"] = "test_pose"
     candidates: Count = 10_000
     refine: Switch = True
-    loads_per_pose: Count = 1
-    reference_rows: Switch = True
     repeats: Switch = True
     max_std_percent: Positive = 300.0
+
+
+class PlanSection(TwoArmPlanSection):
+    """``[plan]``."""
+
+    loads: Annotated[list[Id], Field(min_length=1)] | None = None
+    loads_per_pose: Count = 1
+    reference_rows: Switch = True
+
+
+class ArmSection(Section):
+    """One of ``[[arms]]``."""
+
+    name: Id
+    study: Text
+    base_mm: Vector = [0.0, 0.0, 0.0]
+
+
+class WaistSection(Section):
+    """``[waist]``."""
+
+    shared_joints: Annotated[int, Field(strict=True, ge=0)] = 0
 
 
 class ConstraintsSection(Section):

@@ -10,18 +10,18 @@ from identify.problems import Problems, nearest, unknown
 from identify.robot import Robot
 from identify.schema import (
     EFFECT_NAMES,
+    ArmPoseSection,
     ConstraintsSection,
     LoadSection,
     NoiseSection,
     PlanSection,
     ReduceSection,
     StudyFile,
-    TestPoseSection,
 )
 from identify.study_records import load_cases
 from identify.units import DEG, MM
 
-__all__ = ["check_effects", "check_study"]
+__all__ = ["check_effects", "check_plan", "check_study", "check_test_pose"]
 
 _EFFECT = re.compile(r"([a-z_]+)(@[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)?)?")
 
@@ -39,12 +39,12 @@ def check_study(file: StudyFile, robot: Robot | None, problems: Problems) -> Non
         if choice.name in [other.name for other, _ in file.models[:i]]:
             problems.add(f"[[models]] {i + 1} name", "stands twice; every model needs its own", choice.name)
     if file.plan is not None:
-        _check_plan(file.plan, file.loads, problems)
+        check_plan(file.plan, file.loads, problems)
     if file.reduce is not None and robot is not None:
         _check_beams(file.reduce, robot, problems)
     if robot is not None:
         for i, pose in enumerate(file.test_poses or []):
-            _check_test_pose(pose, robot, f"[[test_poses]] {i + 1} joints_deg", problems)
+            check_test_pose(pose, robot, f"[[test_poses]] {i + 1} joints_deg", problems)
         if file.constraints is not None:
             _check_margins(file.constraints, robot, problems)
 
@@ -115,7 +115,7 @@ def check_effects(effects: Sequence[str], key: str, problems: Problems) -> None:
             problems.add(entry, "stands twice", effect)
 
 
-def _check_plan(plan: PlanSection, loads: list[LoadSection] | None, problems: Problems) -> None:
+def check_plan(plan: PlanSection, loads: list[LoadSection] | None, problems: Problems) -> None:
     """Poses or a tolerance; loads that exist and load the robot."""
     if plan.poses is not None and plan.tolerance_mm is not None:
         problems.add("[plan] poses", "give poses or tolerance_mm, not both", plan.poses)
@@ -149,7 +149,7 @@ def _check_beams(table: ReduceSection, robot: Robot, problems: Problems) -> None
             problems.add(f"[reduce.beams.{name}] wall_mm", "at most half of diameter_mm", beam.wall_mm)
 
 
-def _check_test_pose(pose: TestPoseSection, robot: Robot, key: str, problems: Problems) -> None:
+def check_test_pose(pose: ArmPoseSection, robot: Robot, key: str, problems: Problems) -> None:
     """One value a joint, inside its limits."""
     if len(pose.joints_deg) != robot.n:
         what = f"{robot.n} values expected, one a joint of {robot.name}, {len(pose.joints_deg)} given"

@@ -12,13 +12,13 @@ from identify.beams import Tube
 from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 from identify.schema import (
+    ArmPoseSection,
     ConstraintsSection,
     LoadSection,
     NoiseSection,
     PlanSection,
     PointSection,
     ReduceSection,
-    TestPoseSection,
     TrackerSection,
 )
 from identify.study import Constraints, Noise, PlanSettings, ReduceSettings, TestPose, Tracker
@@ -89,7 +89,7 @@ def _tracker(table: TrackerSection) -> Tracker:
     )
 
 
-def test_pose(table: TestPoseSection, robot: Robot) -> TestPose:
+def test_pose(table: ArmPoseSection, robot: Robot, weight: float) -> TestPose:
     """A test pose in SI."""
     return TestPose(
         q=np.array(table.joints_deg) * np.where(robot.prismatic, MM, DEG),
@@ -97,7 +97,7 @@ def test_pose(table: TestPoseSection, robot: Robot) -> TestPose:
         in_flange=table.frame == "flange",
         attach=frozen(table.attach_mm) * MM,
         point=frozen(table.attach_mm if table.point_mm is None else table.point_mm) * MM,
-        weight=table.weight,
+        weight=weight,
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from doe.feasible import floor_points
 from doe.observations import identifiable, observer, target_rows
-from doe.refine import can_refine, refine
+from doe.refine import Others, can_refine, refine
 from identify.arrays import frozen
 from identify.errors import InputError
 from identify.kinematics import forward
@@ -134,6 +134,22 @@ def test_the_published_plan_is_a_stationary_point():
     result = refine(watching, q, np.zeros((2, 1), dtype=np.int64), np.arange(2), target, **UNBOUNDED)
     assert result.value_before**0.5 == pytest.approx(0.74949, abs=0.6e-5)
     assert result.value_after**0.5 == pytest.approx(0.74949, abs=0.6e-5)
+
+
+def test_experiments_that_stay_count_and_the_others_move_to_what_they_lack():
+    """One pose of the published plan for two, told as rows of another arm in another order, brings forth the second."""
+    watching = observer(arm_study(DOWN))
+    fixed, start = np.deg2rad([[0.0, 143.1, 216.9]]), np.deg2rad([[0.0, 12.0, -15.0]])
+    loads, target = np.zeros((1, 1), dtype=np.int64), target_rows(watching, identifiable(np.eye(2)[None]))[0] / MICRO
+    swapped, place = [1, 0], np.array([1, 0])
+    others = Others(watching.blocks(fixed, loads)[0][:, swapped], place)
+    result = refine(
+        watching, start, loads, np.arange(2), target[:, swapped], max_std=np.full(2, 10.0), others=others, **UNBOUNDED
+    )
+    together = trace_value(watching, np.vstack([start, fixed]), np.zeros((2, 1), dtype=np.int64), [0, 1], target)
+    assert result.value_before == pytest.approx(together, rel=1e-9)
+    assert result.value_after**0.5 == pytest.approx(0.74949, abs=0.6e-5)
+    np.testing.assert_allclose(np.cos(result.q[:, 1:]), 1.0, atol=1e-4)
 
 
 def with_wrist(robot):

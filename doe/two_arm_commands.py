@@ -1,0 +1,139 @@
+"""The commands plan and evaluate for two arms, from files to files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from doe.information import standard_deviations
+from doe.judgement import (
+    bound_json,
+    confusability_json,
+    confusability_lines,
+    counts,
+    criteria,
+    errors_at_test_poses,
+    judgement,
+    judgement_lines,
+    weakest,
+)
+from doe.two_arm_plan import TwoArmPlan, evaluate_both, plan_for_both, relative_accuracy
+from identify.commands import Outcome
+from identify.errors import InputError
+from identify.experiment import full_experiment
+from identify.tables import load_plan, plan_csv, plan_experiment
+from identify.two_arm_config import load_two_arm_study
+from identify.two_arm_study import TwoArmStudy
+
+__all__ = ["run_evaluate_both", "run_plan_for_both"]
+
+_APART = "poses are checked for each arm alone: keep the arm that is not measured out of the way, unloaded and still"
+
+
+def run_plan_for_both(study_file: Path, *, seed: int) -> Outcome:
+    """Pick poses and loads of both arms for a study of two arms."""
+    study = load_two_arm_study(study_file)
+    made = plan_for_both(study, seed=seed)
+    pool, arms = made.pool, made.choice.arms
+    reached = relative_accuracy(study, pool.objective, made.covariance)
+    visits = [len(own.q) for own in arms]
+    content = {
+        **judgement(pool.observer, pool.known, pool.objective, made.final, reached),
+        "grid": bound_json(made.grid),
+        "poses": sum(visits),
+        "arms": _by_arm(study, visits),
+        "different_poses": sum(len(np.unique(own.q, axis=0)) for own in arms),
+        "refinement": _refinement(made),
+        "joint_only": None,
+        "std": standard_deviations(made.information),
+        **counts(*pool.candidates),
+        "time_s": None,
+        "notes": [*made.choice.notes, _APART],
+    }
+    tables = {
+        _plan_name(arm.name): plan_csv(
+            full_experiment(own.q, own.visit_loads, arm.study.loads, arm.study.markers), arm.study
+        )
+        for arm, own in zip(study.arms, arms, strict=True)
+    }
+    return Outcome("plan", content, study.inputs, tables, _lines(content))
+
+
+def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:
+    """Judge the pose files of both arms, which stand in one folder."""
+    study = load_two_arm_study(study_file)
+    files = _plan_files(study, folder)
+    experiments = [
+        plan_experiment(load_plan(file, arm.study), arm.study) for arm, file in zip(study.arms, files, strict=True)
+    ]
+    judged = evaluate_both(study, experiments, seed=seed)
+    aim = judged.objective
+    reached = relative_accuracy(study, aim, judged.covariance)
+    confused = [confusability_json(arm.study, own) for arm, own in zip(study.arms, experiments, strict=True)]
+    content = {
+        **judgement(judged.observer, judged.known, aim, judged.bound, reached),
+        "grid": None,
+        "poses": sum(judged.visits),
+        "arms": _by_arm(study, judged.visits),
+        "different_poses": sum(len(np.unique(own.q, axis=0)) for own in experiments),
+        "test_poses": errors_at_test_poses(reached),
+        "criteria": criteria(aim, judged.information),
+        "weakest": weakest(judged.observer, judged.known, aim, judged.covariance),
+        "std": standard_deviations(judged.information),
+        **counts(*judged.candidates),
+        "confusability": _by_arm(study, confused),
+        "time_s": None,
+        "notes": [],
+    }
+    lines = list(_lines(content))
+    for arm, found in zip(study.arms, confused, strict=True):
+        lines += [f"{arm.name}: {line}" for line in confusability_lines(found)]
+    return Outcome("evaluate", content, (*study.inputs, *files), {}, tuple(lines))
+
+
+def _by_arm(study: TwoArmStudy, values: Any) -> dict[str, Any]:
+    """One value for each arm, by its name."""
+    return {arm.name: value for arm, value in zip(study.arms, values, strict=True)}
+
+
+def _plan_name(arm: str) -> str:
+    """Name of the plan file of one arm."""
+    return f"plan_{arm}.csv"
+
+
+def _plan_files(study: TwoArmStudy, folder: Path) -> tuple[Path, ...]:
+    """The plan files of both arms.
+
+    Raises:
+        InputError: There is no such folder, or a file is missing in it.
+    """
+    names = [_plan_name(arm.name) for arm in study.arms]
+    if not folder.is_dir():
+        raise InputError(
+            f"{folder}: is no folder; a study of two arms is judged with a plan of each, so name the folder that holds "
+            f"{' and '.join(names)}"
+        )
+    for name in names:
+        if not (folder / name).is_file():
+            raise InputError(f"{folder}: {name} is missing; the folder must hold {' and '.join(names)}")
+    return tuple(folder / name for name in names)
+
+
+def _lines(content: dict[str, Any]) -> tuple[str, ...]:
+    """The summary, with the visits of each arm in front."""
+    shares = ", ".join(f"{number} of {name}" for name, number in content["arms"].items())
+    return (f"experiments by arm: {shares}", *judgement_lines(content, content["poses"]))
+
+
+def _refinement(made: TwoArmPlan) -> dict[str, Any] | None:
+    """What moving the joint angles off the grid gained, in all turns together."""
+    done = made.choice.refinements
+    if not done:
+        return None
+    return {
+        "gained_percent": 100.0 * (1.0 - made.final.value / made.grid.value),
+        "iterations": sum(refinement.iterations for refinement in done),
+        "status": ", ".join(refinement.status for refinement in done),
+    }
