@@ -12,7 +12,7 @@ from identify.errors import NoConvergence
 from identify.experiment import Experiment
 from identify.loaded_scene import TOLERANCE, LoadedScene
 from identify.model import Model
-from identify.response import deflected, frame_displacement, respond
+from identify.response import deflected, displaced_points, frame_displacement, respond
 from identify.units import MM
 
 __all__ = ["Equilibrium", "LinearError", "equilibrium", "linear_error", "linear_misses"]
@@ -64,11 +64,11 @@ def equilibrium(model: Model, experiment: Experiment, values: Floats, tolerance:
     scene, deflection = deflected(replace(model, loaded=True), experiment, values, tolerance)
     assert isinstance(scene, LoadedScene)
     turn, shift = frame_displacement(model, values)
-    return Equilibrium(frozen((scene.point + deflection) @ turn.T + shift), scene.iterations)
+    return Equilibrium(frozen(displaced_points(scene, deflection) @ turn.T + shift), scene.iterations)
 
 
 def linear_error(model: Model, experiment: Experiment, values: Floats) -> LinearError:
-    """What the linear model misses of the loaded equilibrium, over all rows.
+    """What the linear model misses of the loaded equilibrium, over all rows that read positions.
 
     Args:
         model: The model.
@@ -79,8 +79,9 @@ def linear_error(model: Model, experiment: Experiment, values: Floats) -> Linear
         NoConvergence: The arm finds no equilibrium.
     """
     linear = respond(replace(model, loaded=False), experiment, values, derivative=False)
-    missed = np.linalg.norm(linear.position - equilibrium(model, experiment, values).positions, axis=1)
-    size = float(np.sqrt((linear.deflection**2).sum(axis=1).mean())) if len(missed) else 0.0
+    places = ~experiment.turning
+    missed = np.linalg.norm((linear.position - equilibrium(model, experiment, values).positions)[places], axis=1)
+    size = float(np.sqrt((linear.deflection[places] ** 2).sum(axis=1).mean())) if len(missed) else 0.0
     rms = float(np.sqrt((missed**2).mean())) if len(missed) else 0.0
     return LinearError(rms, float(missed.max(initial=0.0)), 100.0 * rms / size if size else 0.0)
 

@@ -20,6 +20,7 @@ __all__ = [
     "Response",
     "added_columns",
     "deflected",
+    "displaced_points",
     "effect_columns",
     "frame_displacement",
     "marker_positions",
@@ -83,8 +84,7 @@ def respond(
     wanted = np.ones(len(model.parameters), dtype=bool) if wanted is None else wanted
     scene, deflection = deflected(model, experiment, values, known=known)
     turn, shift = frame_displacement(model, values)
-    shifted = deflection if experiment.row_turns is None else np.where(scene.turning[:, None], 0.0, deflection)
-    position = (scene.point + shifted) @ turn.T + shift
+    position = displaced_points(scene, deflection) @ turn.T + shift
     turned = _turned(model, scene, deflection, values)
     if not derivative:
         nothing = np.zeros((*position.shape, 0))
@@ -98,6 +98,13 @@ def respond(
     if model.frame_size and columns is not direct:
         columns[:, :, 3:6] = _frame_turn(scene, position)
     return Response(scene, position, deflection, columns, direct, turned)
+
+
+def displaced_points(scene: Scene, deflection: Floats) -> Floats:
+    """(R, 3) deflected markers, base frame, m; those of rows that read a turn stay where they are."""
+    turning = scene.experiment.row_turns
+    moved: Floats = scene.point + (deflection if turning is None else np.where(turning[:, None], 0.0, deflection))
+    return moved
 
 
 def deflected(
