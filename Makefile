@@ -14,6 +14,7 @@ export JUPYTER_RUNTIME_DIR = $(CURDIR)/$(VENV)/cache/runtime
 export XDG_CACHE_HOME = $(CURDIR)/$(VENV)/cache
 
 STUDY := configs/studies/kr270.toml
+TARGETS := configs/studies/kr270_targets.csv
 OUT := out/demo
 WRONG := configs/studies/kr270_diagnose.toml
 POSES := configs/studies/kr270_diagnose_poses.csv
@@ -21,7 +22,7 @@ POSES := configs/studies/kr270_diagnose_poses.csv
 .PHONY: help demo test exam lint bench clean
 
 help:
-	@echo "make demo   the main job: plan, simulate, identify, predict, diagnose, report"
+	@echo "make demo   the main job: plan, simulate, identify, predict, compensate, diagnose, report"
 	@echo "make test   all tests"
 	@echo "make exam   several hundred blind diagnoses; fresh seed, or EXAM='--seed 1 --cases 100'"
 	@echo "make lint   style, types, import contract"
@@ -40,6 +41,7 @@ demo: $(STAMP)
 	$(BIN)/elastocal simulate $(STUDY) $(OUT)/plan/plan.csv --truth configs/truths/kr270.toml --out $(OUT)/measured --force
 	$(BIN)/elastocal identify $(STUDY) $(OUT)/measured/measurements.csv --out $(OUT)/identify --force
 	$(BIN)/elastocal predict $(STUDY) $(OUT)/identify/identify.json $(OUT)/plan/plan.csv --out $(OUT)/predict --force
+	$(BIN)/elastocal compensate $(STUDY) $(OUT)/identify/identify.json $(TARGETS) --out $(OUT)/compensate --force
 	$(BIN)/elastocal simulate $(WRONG) $(POSES) --truth configs/truths/kr270_diagnose.toml --out $(OUT)/wrong --force
 	$(BIN)/elastocal diagnose $(WRONG) $(OUT)/wrong/measurements.csv --out $(OUT)/diagnose --force
 	$(BIN)/elastocal report $(OUT)/diagnose
