@@ -12,6 +12,7 @@ from doe.cli import run
 from identify.compensation import compensate
 from identify.config import load_study
 from identify.dual_quaternions.correction import corrected, pose_error
+from identify.error_map import error_map, hung_weight, spread_poses
 from identify.identification import identify
 from identify.kinematics import flange_poses
 from identify.model import model_of
@@ -134,6 +135,28 @@ def test_the_dumbbell_of_the_paper_is_below_what_the_data_resolve(arm, tmp_path,
     assert run(["report", str(tmp_path / "i"), "--quiet"]) == 0
     assert "below what the data resolve" in capsys.readouterr().out
     assert "below what the data resolve" in (tmp_path / "i" / "report.html").read_text()
+
+
+def test_deflections_of_the_paper_do_not_follow_from_its_stiffness():
+    """The figures of docs/theory.md."""
+    printed = {
+        "r1": [0.45, 0.06, 0.10, 0.07, 0.05, 0.03, 0.21, 9.95],
+        "r2": [0.02, 0.10, 0.23, 0.06, 0.20, 0.02, 0.15, 9.50],
+    }
+    text = " ".join((CONFIGS.parent / "docs" / "theory.md").read_text(encoding="utf-8").split())
+    told = []
+    for arm in ARMS:
+        study, real, _, targets = twin(arm)
+        arm_of_paper = replace(real, values=1.0 / np.array(printed[arm]))
+        q = spread_poses(study.robot, 20_000, np.random.default_rng(1))
+        small, large = (
+            error_map(arm_of_paper, q, hung_weight(study.robot, mass), attach=targets.attach[0])
+            for mass in (0.153, 5.0)
+        )
+        told.append((small.position.max() * 1e3, small.orientation.max() * 1e3, large.position.max() * 1e3))
+    (a, b, c), (d, e, f) = told
+    assert f"{a:.3f} mm and {b:.3f} mrad (R1) or {d:.3f} mm and {e:.3f} mrad (R2)" in text
+    assert f"5 kg gives up to {c:.2f} and {f:.2f} mm" in text
 
 
 def test_orientations_survive_the_files(tmp_path, capsys):
