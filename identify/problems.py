@@ -23,7 +23,8 @@ _SHOWN = 50  # problems of one file that a message holds
 _M = TypeVar("_M", bound=BaseModel)
 
 #: Tables inside tables: they get a heading of their own in messages.
-_INNER_TABLES = {"tracker", "nominal", "values"}
+_INNER_TABLES = {"tracker", "nominal", "values", "payload_diagram", "visibility"}
+_INNER_LISTS = {"boxes", "walls"}  # and lists of tables inside tables
 
 _TYPES = {
     "float_type": "a number expected",
@@ -188,6 +189,8 @@ def _key(heading: str, place: Sequence[int | str]) -> str:
     """A key as the user finds it: ``[[loads]] 2 mass_kg``, ``[noise.tracker] radial_um``, ``[plan] loads, entry 2``."""
     if len(place) > 1 and place[0] in _INNER_TABLES:
         heading, place = f"{heading[:-1]}.{place[0]}]", place[1:]
+    if len(place) > 1 and place[0] in _INNER_LISTS and isinstance(place[1], int):
+        heading, place = f"[{heading[:-1]}.{place[0]}]] {place[1] + 1}", place[2:]
     names = ".".join(str(part) for part in place if isinstance(part, str))
     entries = "".join(f", entry {part + 1}" for part in place if isinstance(part, int))
     return " ".join(filter(None, [heading, names])) + entries
