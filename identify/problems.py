@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ from pydantic_core import ErrorDetails
 
 from identify.errors import InputError
 
-__all__ = ["Problems", "nearest", "read_toml", "unknown"]
+__all__ = ["Problems", "name_robot_from", "nearest", "read_toml", "unknown"]
 
 MAX_BYTES = 10_000_000
 
@@ -64,6 +65,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: a value cannot be read: {error}") from None
     except RecursionError:
         raise InputError(f"{path}: lists or tables are nested too deeply; four levels are enough") from None
+
+
+def name_robot_from(out: Path, data: dict[str, Any], study: Path) -> None:
+    """Change the tables of a study file so that they find the robot file from the folder ``out`` too."""
+    beside = study.parent / str(data["robot"]["model"])
+    if beside.exists():
+        data["robot"]["model"] = Path(os.path.relpath(beside, out)).as_posix()
 
 
 class Problems:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.feasible import floor_points
+from doe.floor import floor_points
 from doe.observations import identifiable, observer, target_rows
 from doe.refine import Others, can_refine, refine
 from identify.arrays import frozen
