@@ -1,7 +1,8 @@
 """The arm as capsules, and which of them must keep apart.
 
-Where the robot file states collision shapes of a body (`identify.robot.Shape`), these are its capsules. Elsewhere
-they have one radius and run along the lines between successive joint origins, from the base to the flange.
+Where the robot file states collision shapes of a body (`identify.robot.Shape`) and the study no radius, these are its
+capsules. Elsewhere they have one radius and run along the lines between successive joint origins, from the base to the
+flange.
 
 Two capsules are neighbours, and not checked, if the links between them are together shorter than the sum of their
 radii: so short links and coinciding joints count with the links that they connect. Stated shapes are also not checked
@@ -11,6 +12,7 @@ pose; they are left out too and named in `Capsules.always`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,7 +20,7 @@ import numpy as np
 from doe.distances import segment_distance
 from identify.arrays import Floats, Ints, frozen
 from identify.kinematics import Frames, forward
-from identify.robot import Robot
+from identify.robot import Robot, Shape
 from identify.study import Study
 
 __all__ = ["Capsules", "capsules", "sample_frames"]
@@ -89,7 +91,8 @@ class Capsules:
 def capsules(study: Study) -> Capsules:
     """The arm's capsules and the pairs of them to check."""
     robot = study.robot
-    arm, bodies = _drawn(robot, _radius(study))
+    stated = robot.shapes if study.constraints.link_radius is None else ()
+    arm, bodies = _drawn(robot, stated, _radius(study))
     frames = sample_frames(robot)
     start, end = arm.segments(frames)
     spread = np.maximum(np.ptp(start, axis=0), np.ptp(end, axis=0)).max(axis=1)
@@ -103,10 +106,10 @@ def capsules(study: Study) -> Capsules:
     return replace(pairs, first=first[~always], second=second[~always], always=tuple(names))
 
 
-def _drawn(robot: Robot, radius: float) -> tuple[Capsules, Ints]:
+def _drawn(robot: Robot, shapes: Sequence[Shape], radius: float) -> tuple[Capsules, Ints]:
     """All capsules, nearest to the base first, and the point k (line) or -1 (stated shape) that each begins at."""
     lines = (_shortest(robot) > _POINT) | np.append(False, robot.prismatic)
-    shaped = {shape.body for shape in robot.shapes}
+    shaped = {shape.body for shape in shapes}
     points = ("base", *robot.joints, "flange")
     foot = -robot.placements[0, :3, :3].T @ robot.placements[0, :3, 3]
     names: list[str] = []
@@ -122,7 +125,7 @@ def _drawn(robot: Robot, radius: float) -> tuple[Capsules, Ints]:
             frames.append((max(k - 1, 0), k))
             bodies.append(k)
         back = np.linalg.inv(robot.placements[k])
-        for shape in (item for item in robot.shapes if item.body == k):
+        for shape in (item for item in shapes if item.body == k):
             names.append(shape.name)
             radii.append(shape.radius)
             ends.append(shape.ends @ back[:3, :3].T + back[:3, 3])
