@@ -38,6 +38,13 @@ def main() -> None:
     _compare()
 
 
+def _capsule(start: np.ndarray, end: np.ndarray) -> tuple[coal.Capsule, coal.Transform3s]:
+    """A capsule of coal of the right length in the right place, not turned: good enough for its time."""
+    there = coal.Transform3s()
+    there.setTranslation((start + end) / 2)
+    return coal.Capsule(0.1, float(np.linalg.norm(end - start))), there
+
+
 def _compare() -> None:
     """Capsules against a box: batched, and by coal one by one."""
     rng, half = np.random.default_rng(0), np.array([0.3, 0.5, 0.2])

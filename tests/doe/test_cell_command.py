@@ -6,10 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doe import design_choices, moves, refine
 from doe.candidates import candidates
 from doe.cli import run
 from doe.design_choices import decide
 from doe.feasible import REASONS, check
+from identify.cell_sections import (
+    BoxSection,
+    ConstraintsSection,
+    PayloadDiagramSection,
+    StationSection,
+    VisibilitySection,
+    WallSection,
+)
 from identify.config import load_study
 from identify.tables import load_plan
 from tests.doe.study_files import KR270, study_file
@@ -240,3 +249,32 @@ def test_evaluate_counts_given_visits_that_break_the_cell(tmp_path, capsys):
     told = json.loads((tmp_path / "out" / "evaluate.json").read_text())
     assert 0 < told["visits_rejected"]["walls"] <= 8
     assert "given visits that break a constraint of the study: " in capsys.readouterr().out
+
+
+def test_every_key_and_limit_of_the_cell_is_documented():
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    words = " ".join(text.split())
+    sections = (BoxSection, WallSection, PayloadDiagramSection, VisibilitySection, ConstraintsSection, StationSection)
+    keys = {key for section in sections for key in section.model_fields} - {"boxes", "walls"}
+    keys -= {"payload_diagram", "visibility"}  # tables of their own
+    assert not [key for key in sorted(keys | {"size_mm", "hang_mm", "stations", "markers"}) if f"`{key}`" not in text]
+    for table in ("[[constraints.boxes]]", "[[constraints.walls]]", "[constraints.visibility]", "[marker_choices]"):
+        assert f"`{table}`" in text
+    assert ", ".join(f"`{reason}`" for reason in REASONS) in words
+    assert f"on up to {design_choices._CANDIDATES} candidates of its own" in words
+    assert f"with more than {design_choices._TRIED} options the markers are exchanged" in words
+    theory = " ".join((ROOT / "docs" / "theory.md").read_text(encoding="utf-8").split())
+    assert f"Parts of less than {1000 * moves.STEP:g} mm (or the clearance) are not halved" in theory
+    assert len(refine._RADII) == 5, "the solver starts again up to four times"
+
+
+def test_what_a_plan_says_about_its_choice_is_documented(tmp_path):
+    changes = {
+        "tracker_stations": [STATION, {**STATION, "id": "S2"}],
+        "plan": {"candidates": 60, "poses": 6, "refine": False},
+    }
+    assert run(["plan", str(study_file(tmp_path, KR270, **changes)), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    told = json.loads((tmp_path / "out" / "plan.json").read_text())["choices"]
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    section = text[text.index("**The choice in a plan**") : text.index("**Prediction**")]
+    assert not [key for key in {*told, *told["tried"][0]} if f"`{key}`" not in section]
