@@ -46,7 +46,7 @@ class Candidates:
         visit_loads: (N, L) loads of each candidate in the order of reading, the unloaded state first where it is read.
         drawn: Candidates looked at: N and the rejected ones.
         rejected: Number of rejected candidates by the first reason against them.
-        unchecked: Pairs of capsules that touch in every pose and were not checked, by name.
+        unchecked: Pairs of links, or of load and link, that touch in every pose and were not checked, by name.
     """
 
     q: Floats
@@ -91,10 +91,10 @@ def candidates(study: Study, *, seed: int) -> Candidates:
     choices = load_choices(study)
     lower, upper = sampled_range(study)
     tests = screen(study)
-    if tests.gaps.capsules.always:
+    if tests.gaps.always:
         _log.warning(
-            "%s: these links touch in every pose and are not checked against each other: %s",
-            study.path, "; ".join(tests.gaps.capsules.always),
+            "%s: these touch in every pose and are not checked against each other: %s",
+            study.path, "; ".join(tests.gaps.always),
         )  # fmt: skip
     poses = max(study.plan.candidates // len(choices), 1)
     found = _search(tests, choices, (lower, upper), poses, seed)
@@ -211,7 +211,7 @@ def _search(tests: Screen, choices: Ints, ends: tuple[Floats, Floats], poses: in
         drawn, stood, room = drawn + taken, stood + len(used), room - len(choice)
         batch = min(2 * batch, largest)
     kept_q, pose, choice = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    return Candidates(kept_q, pose, choices[choice], drawn * len(choices), rejected, tests.gaps.capsules.always)
+    return Candidates(kept_q, pose, choices[choice], drawn * len(choices), rejected, tests.gaps.always)
 
 
 def _draws(study: Study, ends: tuple[Floats, Floats], seed: int) -> Callable[[int], Floats]:

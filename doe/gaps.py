@@ -50,6 +50,11 @@ class Gaps:
     clearance: float
 
     @property
+    def always(self) -> tuple[str, ...]:
+        """Pairs that touch in every pose and are not checked, by name."""
+        return (*self.capsules.always, *self.weights.always)
+
+    @property
     def by_reason(self) -> Mapping[str, Callable[[Frames], Floats]]:
         """Reason -> function of N poses to gaps (N, L), or (N, 1) where the load does not matter."""
         return {

@@ -43,7 +43,7 @@ class Statics:
         tool = self._weight(joints, frames, frames.robot.tool_centre, frames.robot.tool_mass)
         weight = self_weight_torque(joints, frames)
         over = []
-        for load in study_torques(self.study, joints, frames):
+        for load in _load_torques(self.study, joints, frames):
             moment = np.abs(tool + load) > self.wrist * (1 + _ROUNDING)
             over.append((moment | (np.abs(weight + load) > self.torque * (1 + _ROUNDING))).any(axis=1))
         return np.stack(over, axis=1)
@@ -55,7 +55,7 @@ class Statics:
         return load_torque(joints, frames.point(centre), force, np.zeros_like(force))
 
 
-def study_torques(study: Study, joints: Springs, frames: Frames) -> list[Floats]:
+def _load_torques(study: Study, joints: Springs, frames: Frames) -> list[Floats]:
     """Torque or force (N, n) of each load of the study on the joints, Nm or N."""
     robot = study.robot
     found = []

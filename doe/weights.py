@@ -28,6 +28,7 @@ class Weights:
         capsules: The arm.
         boxed: (L, S) True where the body is checked against a capsule.
         roped: (L, S) True where the rope is.
+        always: Pairs of load and link that touch in every pose and are therefore not checked, by name.
     """
 
     attach: Floats
@@ -38,6 +39,7 @@ class Weights:
     capsules: Capsules
     boxed: np.ndarray
     roped: np.ndarray
+    always: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -113,4 +115,6 @@ def weights(study: Study, arm: Capsules) -> Weights:
     for i in np.flatnonzero(extended).tolist():
         pairs = hung._pair_gaps(i, segments, hung.centres(tops)[:, i], tops[:, i], hung.below(tops, hung.hang)[:, i])
         always[i] = (pairs < 0.0).all(axis=0)
-    return replace(hung, boxed=hung.boxed & ~always[:, 0], roped=hung.roped & ~always[:, 1])
+    blind = np.stack([hung.boxed, hung.roped], axis=1) & always
+    names = [f"{loads[i].name} and {arm.names[k]}" for i, k in np.argwhere(blind.any(axis=1)).tolist()]
+    return replace(hung, boxed=hung.boxed & ~always[:, 0], roped=hung.roped & ~always[:, 1], always=tuple(names))

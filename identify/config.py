@@ -202,13 +202,14 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study
     """The study of a file without problems."""
     frames, model = file.frames or FramesSection(), file.model or ModelSection()
     loads, possible = load_cases(file.loads or []), stations(file.tracker_stations or [])
+    plan = plan_settings(file.plan or PlanSection(), loads, possible)
     noise = noise_from(file.noise or NoiseSection(), Noise())
     return Study(
         path=path,
         robot=robot,
         loads=loads,
         markers=markers(file.markers, file.fixed_markers, file.marker_choices, file.marker_normals),
-        noise=standing(noise, possible),
+        noise=standing(noise, possible, plan.stations),
         frame_free=frames.measurement == "free",
         markers_fitted=frames.markers == "nominal",
         effects=tuple(model.effects),
@@ -218,7 +219,7 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study
         nominal=MappingProxyType(dict(model.nominal)),
         options=file.options,
         test_poses=tuple(test_pose(pose, robot, pose.weight) for pose in file.test_poses or []),
-        plan=plan_settings(file.plan or PlanSection(), loads, possible),
+        plan=plan,
         constraints=constraints(file.constraints or ConstraintsSection(), robot.prismatic),
         reduce=reduce_settings(file.reduce or ReduceSection()),
         models=tuple(

@@ -256,7 +256,7 @@ class Study:
 
     @property
     def station(self) -> Floats | None:
-        """(3,) where the tracker stands, base frame, m; the first possible station where several are left."""
+        """(3,) where the tracker stands, base frame, m; the first station to choose from where several are left."""
         if self.noise.tracker is not None and self.noise.tracker.station is not None:
             return self.noise.tracker.station
         named = {station.name: station.position for station in self.stations}

@@ -108,11 +108,12 @@ def noise_from(table: NoiseSection, base: Noise) -> Noise:
     )
 
 
-def standing(noise: Noise, possible: Sequence[Station]) -> Noise:
-    """Noise of a tracker at the only station there is; where several are possible its station stays open."""
-    if noise.tracker is None or len(possible) != 1:
+def standing(noise: Noise, possible: Sequence[Station], named: Sequence[str]) -> Noise:
+    """Noise of a tracker at the first of the named stations; a plan may choose another one of them."""
+    if noise.tracker is None or not named:
         return noise
-    return replace(noise, tracker=replace(noise.tracker, station=possible[0].position))
+    first = next(station for station in possible if station.name == named[0])
+    return replace(noise, tracker=replace(noise.tracker, station=first.position))
 
 
 def _scaled(value: float | None, unit: float, default: float) -> float:

@@ -164,6 +164,15 @@ def test_a_hung_weight_needs_room_above_the_floor():
     assert check(replace(bare, constraints=higher), READY, visits(1, 1)).ok.all()
 
 
+def test_a_body_that_touches_a_link_in_every_pose_is_left_out_and_named():
+    """A body around the flange itself, without a rope."""
+    close = LoadCase("close", mass=50.0, attach=np.array([0.0, 0.0, 0.0]), size=np.array([0.3, 0.3, 0.2]))
+    study = cell(loads=(UNLOADED, close))
+    assert gaps_of(study).always == ("close and A6..flange",)
+    reasons = np.array(check(study, poses(study, 300), visits(300, 1)).reasons)
+    assert 0 < (reasons == "load_collision").sum() < 300
+
+
 def test_stated_shapes_take_the_place_of_the_lines():
     lines = cell(loads=(UNLOADED,))
     thick = Shape("forearm_box", 3, np.array([[0.0, 0, 0], [1.2, 0, 0]]), 0.3)
