@@ -74,7 +74,7 @@ class Candidates:
         return q
 
 
-def candidates(study: Study, *, seed: int) -> Candidates:
+def candidates(study: Study, *, seed: int, warn: bool = True) -> Candidates:
     """Draw the candidates of a study: at most ``plan.candidates``, but all choices of loads of at least one pose.
 
     Poses come from one scrambled Sobol sequence, so the same seed gives the same candidates, and more candidates
@@ -83,6 +83,7 @@ def candidates(study: Study, *, seed: int) -> Candidates:
     Args:
         study: The study.
         seed: Seed of the scrambling.
+        warn: Say where fewer than wanted were found, and what is not checked.
 
     Raises:
         InputError: A joint has no limits or no range, or the loads do not allow what the plan asks for.
@@ -91,7 +92,7 @@ def candidates(study: Study, *, seed: int) -> Candidates:
     choices = load_choices(study)
     lower, upper = sampled_range(study)
     tests = screen(study)
-    if tests.gaps.always:
+    if warn and tests.gaps.always:
         _log.warning(
             "%s: these touch in every pose and are not checked against each other: %s",
             study.path, "; ".join(tests.gaps.always),
@@ -104,7 +105,7 @@ def candidates(study: Study, *, seed: int) -> Candidates:
             f"{study.path}: none of {found.drawn} drawn candidates may be measured: {_why(found)}. Each constraint on "
             f"its own: {culprit}"
         )
-    if len(found) < poses * len(choices) and found.drawn >= _most(poses) * len(choices):
+    if warn and len(found) < poses * len(choices) and found.drawn >= _most(poses) * len(choices):
         _log.warning(
             "%s: only %d of %d candidates found among %d drawn: %s",
             study.path, len(found), poses * len(choices), found.drawn, _why(found),

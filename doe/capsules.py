@@ -149,7 +149,7 @@ def _pairs(robot: Robot, arm: Capsules, bodies: Ints) -> tuple[Ints, Ints]:
     starts, ends = path[body], path[body + 1]
     apart = starts[None] - ends[:, None] >= arm.radii[None] + arm.radii[:, None]
     both = line[None] & line[:, None]
-    apart = np.where(both, apart, body[None] - body[:, None] > 1)
+    apart &= both | (body[None] - body[:, None] > 1)
     solid = arm.radii > 0.0
     first, second = np.nonzero(np.triu(apart & solid[None] & solid[:, None], k=1))
     return first, second

@@ -101,7 +101,7 @@ class Decision:
 
 def open_choices(study: Study) -> bool:
     """True if the study leaves the station of the tracker or the markers open."""
-    return len(study.plan.stations) > 1 or len(study.plan.stations) < len(study.stations) or bool(study.marker_choices)
+    return len(study.plan.stations) > 1 or bool(study.marker_choices)
 
 
 def decide(study: Study, *, seed: int) -> tuple[Study, Decision | None]:
@@ -173,9 +173,12 @@ def choice_lines(decision: Decision) -> tuple[str, ...]:
     chosen += [f"markers {', '.join(best.markers)}"] if best.markers else []
     kind = "all" if decision.complete else "exchanges among all"
     blind = sum(not np.isfinite(option.value) for option in decision.tried)
-    nothing = f"; {blind} of them allow no plan" if blind else ""
+    nothing = f"; without a plan: {blind} of them" if blind else ""
+    first = f"chosen: {' and '.join(chosen)}, out of {len(decision.tried)} options ({kind}){nothing}"
+    if blind + 1 == len(decision.tried):
+        return (first,)
     return (
-        f"chosen: {' and '.join(chosen)}, out of {len(decision.tried)} options ({kind}){nothing}",
+        first,
         f"the choice takes {content['gain_percent']:.0f} % off the criterion against the median option, "
         f"{content['gain_against_worst_percent']:.0f} % against the worst",
     )
@@ -224,7 +227,7 @@ class _Judge:
 
 def _relaxed(study: Study, seed: int) -> tuple[int, float]:
     """Rank and value of the relaxed design for one experiment."""
-    chosen, watching = candidates(study, seed=seed), observer(study)
+    chosen, watching = candidates(study, seed=seed, warn=False), observer(study)
     blocks = watching.blocks(chosen.visit_q, chosen.visit_loads)
     known = identifiable(blocks)
     aim = objective(watching, known, study.plan.criterion)

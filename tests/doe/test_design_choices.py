@@ -83,7 +83,9 @@ def test_exchange_finds_what_trying_all_finds(tmp_path, monkeypatch):
 
 def test_an_option_that_sees_nothing_is_not_taken_and_said(tmp_path):
     limits = {"visibility": {"min_range_mm": 9000.0}}
-    study = load_study(choosing(tmp_path, constraints=limits, marker_choices=None, plan={"candidates": 60}))
+    study = load_study(
+        choosing(tmp_path, constraints=limits, marker_choices=None, plan={"candidates": 60, "markers": None})
+    )
     _, decision = decide(study, seed=0)
     assert decision.best.station == "far"
     blind = decision.tried[-1]
@@ -142,3 +144,20 @@ def test_two_arms_need_their_choices_made(tmp_path):
     arm = load_study(choosing(tmp_path))
     with pytest.raises(InputError, match="plan this arm alone first"):
         drawn(SimpleNamespace(arms=(SimpleNamespace(study=arm),)), 0, 0)
+
+
+def test_a_single_named_station_is_no_choice(tmp_path):
+    study = load_study(choosing(tmp_path, marker_choices=None, plan={"stations": ["far"], "markers": None}))
+    np.testing.assert_allclose(study.station, [14.0, 1.0, 1.0])
+    np.testing.assert_allclose(study.noise.tracker.station, [14.0, 1.0, 1.0])
+    assert decide(study, seed=0) == (study, None)
+
+
+def test_trying_options_warns_of_nothing(tmp_path, caplog):
+    limits = {"visibility": {"min_range_mm": 9000.0}}
+    study = load_study(
+        choosing(tmp_path, constraints=limits, marker_choices=None, plan={"candidates": 60, "markers": None})
+    )
+    with caplog.at_level("WARNING", "elastocal"):
+        decide(study, seed=0)
+    assert not caplog.records
