@@ -113,6 +113,10 @@ class Screen:
         parts = [self._chunk(q[start : start + _CHUNK]) for start in range(0, len(q), _CHUNK)]
         return np.concatenate(parts) if parts else np.empty((0, len(self.study.loads)), dtype=np.int8)
 
+    def check(self, q: Floats, visit_loads: Ints) -> Feasibility:
+        """Check visits: (N, n) joint values, rad or m, and (N, L) indices of the loads of each visit."""
+        return Feasibility(np.take_along_axis(self.codes(q), visit_loads, axis=1).min(axis=1, initial=FEASIBLE))
+
     def _chunk(self, q: Floats) -> np.ndarray:
         """`codes` of a few poses; what a pose has failed for every load is not looked at further."""
         frames = forward(self.study.robot, q)
@@ -221,8 +225,7 @@ def check(study: Study, q: Floats, visit_loads: Ints) -> Feasibility:
     Raises:
         InputError: ``q`` has the wrong number of columns.
     """
-    by_load = screen(study).codes(q)
-    return Feasibility(np.take_along_axis(by_load, visit_loads, axis=1).min(axis=1, initial=FEASIBLE))
+    return screen(study).check(q, visit_loads)
 
 
 def count_reasons(codes: np.ndarray) -> dict[str, int]:
