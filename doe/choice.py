@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.candidates import rounded
-from doe.feasible import check, joint_range
+from doe.feasible import joint_range, screen
 from doe.guard import blind_spot, guarded_search
 from doe.information import information_of, standard_deviations
 from doe.objective import Objective
@@ -119,9 +119,9 @@ def _refine(
     limits: Floats | None,
     others: Others | None,
 ) -> Refinement:
-    """Move the joint angles within limits, floor and the parameters' limits; self-collision is checked on arrival."""
+    """Move the joint angles within limits, floor and the parameters' limits; all else is checked on arrival."""
     study = observer.study
-    lower, upper = joint_range(study)
+    (lower, upper), tests = joint_range(study), screen(study)
     return refine(
         observer,
         q,
@@ -133,7 +133,7 @@ def _refine(
         upper=upper,
         floor=study.constraints.floor,
         max_std=limits,
-        allowed=lambda moved: check(study, rounded(study, moved), loads).ok,
+        allowed=lambda moved: tests.check(rounded(study, moved), loads).ok,
         others=others,
     )
 

@@ -71,9 +71,12 @@ def plan(study: Path, *, out: Path, common: Common = _DEFAULT) -> int:
     from doe.two_arm_commands import run_plan_for_both
     from identify.two_arm_config import holds_two_arms
 
-    return _finish(
-        lambda: (run_plan_for_both if holds_two_arms(study) else run_plan)(study, seed=common.seed), out, common
-    )
+    def run() -> Outcome:
+        if holds_two_arms(study):
+            return run_plan_for_both(study, seed=common.seed)
+        return run_plan(study, seed=common.seed, out=out)
+
+    return _finish(run, out, common)
 
 
 @app.command

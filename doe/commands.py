@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from doe.accuracy import Accuracy, accuracy
+from doe.design_choices import choice_lines, chosen_toml, decide
 from doe.evaluate import evaluate
 from doe.information import standard_deviations
 from doe.joint_only import joint_only
@@ -31,13 +33,15 @@ from identify.experiment import full_experiment
 from identify.study import Study
 from identify.tables import load_plan, plan_csv, plan_experiment
 
-__all__ = ["run_evaluate", "run_plan"]
+__all__ = ["CHOSEN", "run_evaluate", "run_plan"]
+
+CHOSEN = "chosen.toml"  # the study with the choices made
 
 
-def run_plan(study_file: Path, *, seed: int) -> Outcome:
-    """Pick poses and loads for a study file."""
-    study = load_study(study_file)
-    made = plan(study, seed=seed)
+def run_plan(study_file: Path, *, seed: int, out: Path) -> Outcome:
+    """Pick poses and loads for a study file; ``out`` is the folder that the results will stand in."""
+    made = plan(load_study(study_file), seed=seed)
+    study = made.pool.observer.study  # station and markers are chosen
     reached = _accuracy(study, made.pool.objective, made.covariance)
     simple = joint_only(made, seed=seed)
     content = {
@@ -49,17 +53,23 @@ def run_plan(study_file: Path, *, seed: int) -> Outcome:
         "joint_only": None if simple is None else {"value": simple.value, "times": simple.times, "rank": simple.rank},
         "std": standard_deviations(made.information),
         **counts(made.pool.candidates),
+        "choices": None if made.decision is None else made.decision.as_json,
+        "chosen_study": None if made.decision is None else CHOSEN,
         "time_s": None,
         "notes": list(made.notes),
     }
     experiment = full_experiment(made.q, made.visit_loads, study.loads, study.markers)
     tables = {"plan.csv": plan_csv(experiment, study)}
-    return Outcome("plan", content, study.inputs, tables, judgement_lines(content, len(made.q)))
+    lines = judgement_lines(content, len(made.q))
+    if made.decision is not None:
+        tables[CHOSEN] = chosen_toml(study_file, made.decision.best, out)
+        lines = (*choice_lines(made.decision), *lines)
+    return Outcome("plan", content, study.inputs, tables, lines)
 
 
 def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
     """Judge a pose file."""
-    study = load_study(study_file)
+    study, decision = decide(load_study(study_file), seed=seed)
     experiment = plan_experiment(load_plan(plan_file, study), study)
     judged = evaluate(study, experiment, seed=seed)
     aim = judged.objective
@@ -74,12 +84,22 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
         "weakest": weakest(judged.observer, judged.known, aim, judged.covariance),
         "std": standard_deviations(judged.information),
         **counts(judged.candidates),
+        "visits_rejected": dict(judged.broken),
+        "choices": None if decision is None else decision.as_json,
         "confusability": confusability_json(study, experiment),
         "time_s": None,
-        "notes": [],
+        "notes": _notes(judged.broken),
     }
     lines = (*judgement_lines(content, judged.visits), *confusability_lines(content["confusability"]))
     return Outcome("evaluate", content, (*study.inputs, plan_file), {}, lines)
+
+
+def _notes(broken: Mapping[str, int]) -> list[str]:
+    """What a user should know about the given visits."""
+    if not broken:
+        return []
+    counts = ", ".join(f"{reason} {count}" for reason, count in broken.items())
+    return [f"given visits that break a constraint of the study: {counts}"]
 
 
 def _accuracy(study: Study, aim: Objective, covariance: Floats) -> Accuracy | None:

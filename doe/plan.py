@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from doe.bounds import Bound, bound_of
 from doe.choice import choose
+from doe.design_choices import Decision, decide
 from doe.information import covariance_of, information_of
 from doe.pool import Pool, build_pool
 from doe.refine import Refinement
@@ -29,6 +30,7 @@ class Plan:
         information: (p, p) of the identifiable parameters.
         refinement: What the refinement did, or None.
         notes: What the user should know.
+        decision: How station and markers were chosen; None where there was no choice.
     """
 
     pool: Pool
@@ -39,6 +41,7 @@ class Plan:
     information: Floats
     refinement: Refinement | None
     notes: tuple[str, ...]
+    decision: Decision | None = None
 
     @property
     def covariance(self) -> Floats:
@@ -51,7 +54,7 @@ def plan(study: Study, *, seed: int = 0) -> Plan:
 
     Candidates are drawn over the joint limits; column generation gives the best relaxed design and its
     proven bound; exchange and local search make it a plan of n experiments; the joint angles are then
-    moved off the grid.
+    moved off the grid. Where the study leaves the tracker's station or the markers open, they are chosen first.
 
     Args:
         study: The study; its ``[plan]`` says what is wanted.
@@ -61,6 +64,7 @@ def plan(study: Study, *, seed: int = 0) -> Plan:
         NotIdentifiable: The criterion needs what no candidate shows, or n is too small.
         Infeasible: No candidate keeps to the constraints, or no plan meets the tolerance.
     """
+    study, decision = decide(study, seed=seed)
     pool = build_pool(study, seed)
     aim, repeats = pool.objective, study.plan.repeats
     choice = sufficient(pool, seed) if study.plan.poses is None else choose(pool, study.plan.poses, seed)
@@ -70,4 +74,4 @@ def plan(study: Study, *, seed: int = 0) -> Plan:
     final = grid
     if choice.own is not choice.grid:
         final = bound_of(aim, count, pool.blocks, choice.own, aim.value(information), repeats=repeats)
-    return Plan(pool, choice.q, choice.visit_loads, grid, final, information, choice.refinement, choice.notes)
+    return Plan(pool, choice.q, choice.visit_loads, grid, final, information, choice.refinement, choice.notes, decision)

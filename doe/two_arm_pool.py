@@ -8,10 +8,12 @@ import numpy as np
 
 from doe.bounds import joined
 from doe.candidates import Candidates, candidates
+from doe.design_choices import open_choices
 from doe.objective import Objective, objective
 from doe.observations import identifiable, keep_columns
 from doe.two_arms import TwoArmObserver, two_arm_observer
 from identify.arrays import Floats, Ints
+from identify.errors import InputError
 from identify.identifiability import Identifiability
 from identify.two_arm_study import TwoArmStudy
 
@@ -61,6 +63,11 @@ def build_two_arm_pool(study: TwoArmStudy, seed: int) -> TwoArmPool:
 def drawn(study: TwoArmStudy, side: int, seed: int) -> Candidates:
     """The candidates of one arm: half of what the plan of both asks for, by the constraints of its own study."""
     own = study.arms[side].study
+    if open_choices(own):
+        raise InputError(
+            f"{own.path}: the tracker's station or the markers are still to be chosen; plan this arm alone first and "
+            "name the chosen.toml that this writes in [[arms]] study"
+        )
     count = max(study.plan.candidates // 2, 1)
     return candidates(replace(own, plan=replace(own.plan, candidates=count)), seed=seed)
 

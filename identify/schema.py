@@ -1,22 +1,18 @@
 """What study and truth files may hold: one schema a table, unknown keys forbidden, units in the keys.
 
 Only shapes and single values are checked here; what several values say together is checked in
-`identify.study_checks`.
+`identify.study_checks`. The tables of the cell stand in `identify.cell_sections`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 __all__ = [
     "EFFECT_NAMES",
-    "STUDY_SECTIONS",
     "BeamSection",
-    "ConstraintsSection",
     "FramesSection",
     "LoadSection",
     "ModelChoiceSection",
@@ -27,7 +23,6 @@ __all__ = [
     "ReduceSection",
     "RobotSection",
     "Section",
-    "StudyFile",
     "TestPoseSection",
     "ToolSection",
     "TrackerSection",
@@ -92,6 +87,8 @@ class LoadSection(Section):
     mass_std_kg: NotNegative = 0.0
     attach_mm: Vector = [0.0, 0.0, 0.0]
     attach_std_mm: NotNegative = 0.0
+    size_mm: Annotated[list[Positive], Field(min_length=3, max_length=3)] | None = None
+    hang_mm: NotNegative = 0.0
     wrench: Wrench = [0.0] * 6
     frame: Axes = "world"
 
@@ -177,6 +174,8 @@ class PlanSection(TwoArmPlanSection):
     loads: Annotated[list[Id], Field(min_length=1)] | None = None
     loads_per_pose: Count = 1
     reference_rows: Switch = True
+    stations: Annotated[list[Id], Field(min_length=1)] | None = None
+    markers: Count | None = None
 
 
 class ArmSection(Section):
@@ -191,17 +190,6 @@ class WaistSection(Section):
     """``[waist]``."""
 
     shared_joints: Annotated[int, Field(strict=True, ge=0)] = 0
-
-
-class ConstraintsSection(Section):
-    """``[constraints]``."""
-
-    joint_margin_deg: NotNegative = 0.0
-    joint_margin_mm: NotNegative = 0.0
-    floor_mm: Number | None = None
-    payload_share: Positive = 1.0
-    self_collision: Switch = True
-    link_radius_mm: Positive | None = None
 
 
 class BeamSection(Section):
@@ -229,40 +217,3 @@ class TruthSection(Section):
 
     effects: list[Text] | None = None
     values: dict[str, Number] = {}
-
-
-#: Tables of a study file and the schema of each; the second entry is True where the file holds a list of tables.
-STUDY_SECTIONS: dict[str, tuple[type[Section], bool]] = {
-    "robot": (RobotSection, False),
-    "tool": (ToolSection, False),
-    "markers": (PointSection, False),
-    "fixed_markers": (PointSection, False),
-    "loads": (LoadSection, True),
-    "noise": (NoiseSection, False),
-    "frames": (FramesSection, False),
-    "model": (ModelSection, False),
-    "test_poses": (TestPoseSection, True),
-    "plan": (PlanSection, False),
-    "constraints": (ConstraintsSection, False),
-    "reduce": (ReduceSection, False),
-}
-
-
-@dataclass(frozen=True)
-class StudyFile:
-    """The checked tables of a study file; None where a table is missing or wrong."""
-
-    robot: RobotSection | None
-    tool: ToolSection | None
-    markers: PointSection | None
-    fixed_markers: PointSection | None
-    loads: list[LoadSection] | None
-    noise: NoiseSection | None
-    frames: FramesSection | None
-    model: ModelSection | None
-    test_poses: list[TestPoseSection] | None
-    plan: PlanSection | None
-    constraints: ConstraintsSection | None
-    reduce: ReduceSection | None
-    options: Mapping[str, Mapping[str, Any]]
-    models: list[tuple[ModelChoiceSection, Mapping[str, Mapping[str, Any]]]]

@@ -12,6 +12,7 @@ import numpy as np
 
 from identify.arrays import Floats, frozen
 from identify.beams import Tube
+from identify.cell import Box, PayloadDiagram, Station, Visibility, Wall
 from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 from identify.units import DEG, MM
@@ -106,6 +107,8 @@ class PlanSettings:
         reference_rows: Each visit also reads the unloaded state.
         repeats: One candidate may be measured several times.
         max_std_percent: No parameter's std may exceed this percentage of its std under the best A plan.
+        stations: Names of the tracker stations to choose from; empty where there is no choice.
+        markers: How many of the markers to choose from are mounted; None where there is no choice.
     """
 
     poses: int | None = 15
@@ -119,6 +122,8 @@ class PlanSettings:
     reference_rows: bool = True
     repeats: bool = True
     max_std_percent: float = 300.0
+    stations: tuple[str, ...] = ()
+    markers: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +137,14 @@ class Constraints:
         payload_share: Share of the rated payload that may hang on the flange.
         self_collision: Check the links' capsules against each other.
         link_radius: Radius of these capsules, m; None: the robot file's, else 3 % of the reach.
+        clearance: Distance that arm and hung weight keep to walls and boxes, and the weight to the arm, m.
+        boxes: Obstacles, world axes.
+        walls: Planes that nothing may cross, world axes.
+        home: (n,) where the arm comes from and returns to, rad or m; None: not stated.
+        payload_diagram: Allowed mass against the distance of its centre; None: the rated payload alone.
+        wrist_moment: (3,) rated static moments about the last three joints, Nm; None: unknown.
+        torque_share: Share of the rated joint torques that static load may take; None: not checked.
+        visibility: What the tracker must see; None: not checked.
     """
 
     joint_margin: float = 0.0
@@ -140,6 +153,20 @@ class Constraints:
     payload_share: float = 1.0
     self_collision: bool = True
     link_radius: float | None = None
+    clearance: float = 0.0
+    boxes: tuple[Box, ...] = ()
+    walls: tuple[Wall, ...] = ()
+    home: Floats | None = None
+    payload_diagram: PayloadDiagram | None = None
+    wrist_moment: Floats | None = None
+    torque_share: float | None = None
+    visibility: Visibility | None = None
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for key in ("home", "wrist_moment"):
+            if getattr(self, key) is not None:
+                object.__setattr__(self, key, frozen(getattr(self, key)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +228,8 @@ class Study:
         reduce: How the model is reduced.
         models: Models to compare.
         inputs: Every file the study was read from.
+        stations: Where the tracker can stand.
+        marker_choices: Names of the markers that the plan chooses from; they stand among ``markers``.
     """
 
     path: Path
@@ -222,6 +251,16 @@ class Study:
     reduce: ReduceSettings = field(default_factory=ReduceSettings)
     models: tuple[ModelChoice, ...] = ()
     inputs: tuple[Path, ...] = ()
+    stations: tuple[Station, ...] = ()
+    marker_choices: tuple[str, ...] = ()
+
+    @property
+    def station(self) -> Floats | None:
+        """(3,) where the tracker stands, base frame, m; the first station to choose from where several are left."""
+        if self.noise.tracker is not None and self.noise.tracker.station is not None:
+            return self.noise.tracker.station
+        named = {station.name: station.position for station in self.stations}
+        return next((named[name] for name in (*self.plan.stations, *named)), None)
 
     @property
     def joint_units(self) -> np.ndarray:

@@ -6,18 +6,19 @@ import math
 import re
 from collections.abc import Sequence
 
+from identify.cell_checks import check_cell
+from identify.cell_sections import ConstraintsSection
 from identify.problems import Problems, nearest, unknown
 from identify.robot import Robot
 from identify.schema import (
     EFFECT_NAMES,
     ArmPoseSection,
-    ConstraintsSection,
     LoadSection,
     NoiseSection,
     PlanSection,
     ReduceSection,
-    StudyFile,
 )
+from identify.study_file import StudyFile
 from identify.study_records import load_cases
 from identify.units import DEG, MM
 
@@ -47,17 +48,23 @@ def check_study(file: StudyFile, robot: Robot | None, problems: Problems) -> Non
             check_test_pose(pose, robot, f"[[test_poses]] {i + 1} joints_deg", problems)
         if file.constraints is not None:
             _check_margins(file.constraints, robot, problems)
+    check_cell(file, robot, problems)
 
 
 def _check_markers(file: StudyFile, problems: Problems) -> None:
     """At least one marker on the flange; no name twice."""
     if file.markers is None or file.fixed_markers is None:
         return
-    if not file.markers.points and not problems.found("[markers]"):
+    choices = file.marker_choices.points if file.marker_choices is not None else {}
+    if not file.markers.points and not choices and not problems.found("[markers]"):
         problems.add("[markers]", "at least one marker expected, for example M1 = [300.0, 120.0, -80.0]")
-    for name in file.fixed_markers.points:
-        if name in file.markers.points:
-            problems.add(f"[fixed_markers] {name}", "this id stands in [markers] too; every marker needs its own")
+    for table, names, other in (
+        ("fixed_markers", file.fixed_markers.points, ("markers", file.markers.points)),
+        ("marker_choices", choices, ("markers", file.markers.points)),
+        ("marker_choices", choices, ("fixed_markers", file.fixed_markers.points)),
+    ):
+        for name in set(names) & set(other[1]):
+            problems.add(f"[{table}] {name}", f"this id stands in [{other[0]}] too; every marker needs its own")
 
 
 def _check_loads(file: StudyFile, robot: Robot | None, problems: Problems) -> None:
