@@ -34,21 +34,34 @@ class Bound:
         return min(self.bound / self.value, 1.0) if np.isfinite(self.value) else 0.0
 
 
-def bound_of(aim: Objective, count: int, pool: Floats, own: Floats, value: float, *, repeats: bool) -> Bound:
+def bound_of(
+    aim: Objective,
+    count: int,
+    pool: Floats,
+    own: Floats,
+    value: float,
+    *,
+    repeats: bool,
+    prior: Floats | None = None,
+) -> Bound:
     """Proven lower bound for ``count`` experiments.
 
     Args:
         aim: The criterion.
-        count: Number of experiments.
+        count: Number of experiments; with none the value is the bound.
         pool: (N, k, p) blocks of the candidates.
         own: (n, k', p) blocks of the plan itself, which count as candidates too.
         value: What the plan reaches.
         repeats: One candidate may be measured several times.
+        prior: (p, p) information that is there already, in full.
     """
+    if not count:
+        return Bound(value, value)
     blocks = joined(pool, own[~_among(pool, own, repeats=repeats)])
     cap = None if repeats else 1.0 / count
+    share = None if prior is None else prior / count
     try:
-        relaxed = approximate_design(blocks, aim.target(), criterion=aim.criterion, max_weight=cap)
+        relaxed = approximate_design(blocks, aim.target(), criterion=aim.criterion, max_weight=cap, prior=share)
     except NoConvergence as error:  # its bound is proven all the same, only not the tightest
         if not isinstance(error.best, ApproximateDesign):
             raise

@@ -10,7 +10,7 @@ import numpy as np
 
 from doe.candidates import rounded
 from doe.feasible import check, joint_range
-from doe.guard import blind_spot, guarded_search
+from doe.guard import Guard, blind_spot, guarded_search
 from doe.information import information_of, standard_deviations
 from doe.objective import Objective
 from doe.observations import Observer
@@ -35,6 +35,7 @@ class Choice:
         grid: (n, k, p) blocks before refinement.
         own: (n, k, p) blocks of the plan; ``grid`` itself if refinement gained nothing.
         refinement: What the refinement did, or None.
+        guard: What was weighed in.
         notes: What the user should know.
     """
 
@@ -43,6 +44,7 @@ class Choice:
     grid: Floats
     own: Floats
     refinement: Refinement | None
+    guard: Guard
     notes: tuple[str, ...]
 
 
@@ -50,21 +52,34 @@ def choose(pool: Pool, count: int, seed: int) -> Choice:
     """Search ``count`` experiments on the grid and refine them."""
     study, aim = pool.observer.study, pool.objective
     log.info("%d candidates, %d parameters; searching %d experiments", len(pool.blocks), aim.size, count)
-    chosen, best, notes = guarded_search(pool, count, seed)
+    chosen, guard, notes = guarded_search(pool, count, seed)
+    best = guard.best
     most = None if best is None else study.plan.max_std_percent / 100.0 * best
     q, loads = pool.candidates.visit_q[chosen], pool.candidates.visit_loads[chosen]
     grid = own = pool.blocks[chosen]
     refinement = None
-    if study.plan.refine:
+    if study.plan.refine and count:
         log.info("refining the joint angles of %d experiments", count)
-        refined, moved, refinement = off_grid(pool.observer, pool.known.kept, aim, chosen, q, loads, most)
-        if aim.value(information_of(moved)) < aim.value(information_of(grid)):
+        refined, moved, refinement = off_grid(
+            pool.observer, pool.known.kept, aim, chosen, q, loads, most, others_of(pool.prior)
+        )
+        if aim.value(pool.information(moved)) < aim.value(pool.information(grid)):
             q, own = refined, moved
     if refinement is not None and refinement.reason:
         notes = (*notes, f"not refined: {refinement.reason}")
     if best is not None:
         notes = (*notes, *blind_spot(pool, own, best))
-    return Choice(q, loads, grid, own, refinement, notes)
+    return Choice(q, loads, grid, own, refinement, guard, notes)
+
+
+def others_of(prior: Floats | None) -> Others | None:
+    """Rows (p, p) that carry the information ``prior``, as what stays beside the moved visits; None without one."""
+    if prior is None:
+        return None
+    scale = np.sqrt(np.maximum(np.diag(prior), 1e-300))
+    values, vectors = np.linalg.eigh(prior / scale / scale[:, None])
+    rows = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
+    return Others(rows, np.arange(len(prior)))
 
 
 def off_grid(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from doe.accuracy import Accuracy, accuracy
-from doe.evaluate import evaluate
+from doe.curve import accuracy_curve, fewest_shown, sizes
+from doe.evaluate import Evaluation, evaluate
 from doe.information import standard_deviations
 from doe.joint_only import joint_only
 from doe.judgement import (
@@ -17,6 +19,8 @@ from doe.judgement import (
     confusability_lines,
     counts,
     criteria,
+    curve_json,
+    curve_lines,
     errors_at_test_poses,
     judgement,
     judgement_lines,
@@ -49,12 +53,14 @@ def run_plan(study_file: Path, *, seed: int) -> Outcome:
         "joint_only": None if simple is None else {"value": simple.value, "times": simple.times, "rank": simple.rank},
         "std": standard_deviations(made.information),
         **counts(made.pool.candidates),
+        "curve": _curve_of_plan(study, made, seed),
         "time_s": None,
         "notes": list(made.notes),
     }
     experiment = full_experiment(made.q, made.visit_loads, study.loads, study.markers)
     tables = {"plan.csv": plan_csv(experiment, study)}
-    return Outcome("plan", content, study.inputs, tables, judgement_lines(content, len(made.q)))
+    lines = (*judgement_lines(content, len(made.q)), *curve_lines(content["curve"]))
+    return Outcome("plan", content, study.inputs, tables, lines)
 
 
 def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
@@ -73,13 +79,57 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
         "criteria": criteria(aim, judged.information),
         "weakest": weakest(judged.observer, judged.known, aim, judged.covariance),
         "std": standard_deviations(judged.information),
-        **counts(judged.candidates),
+        **counts(None if judged.pool is None else judged.pool.candidates),
+        "curve": _curve_of_poses(study, judged, seed),
         "confusability": confusability_json(study, experiment),
         "time_s": None,
         "notes": [],
     }
-    lines = (*judgement_lines(content, judged.visits), *confusability_lines(content["confusability"]))
+    lines = (
+        *judgement_lines(content, judged.visits),
+        *curve_lines(content["curve"]),
+        *confusability_lines(content["confusability"]),
+    )
     return Outcome("evaluate", content, (*study.inputs, plan_file), {}, lines)
+
+
+def _curve_of_plan(study: Study, made: Plan, seed: int) -> list[dict[str, Any]]:
+    """The curve around the size of a plan; empty without test poses or where the study does not want it."""
+    pool, count = made.pool, len(made.q)
+    aim = pool.objective
+    if aim.rows is None or not study.plan.curve:
+        return []
+    return curve_json(
+        accuracy_curve(
+            aim,
+            study.plan,
+            partial(accuracy, study, aim.rows),
+            sizes(2 * count, first=fewest_shown(pool), also=count),
+            seed,
+            pool=pool,
+            guard=made.guard,
+        ),
+        given=False,
+    )
+
+
+def _curve_of_poses(study: Study, judged: Evaluation, seed: int) -> list[dict[str, Any]]:
+    """The curve along the visits of a pose file; empty without test poses or where the study does not want it."""
+    aim = judged.objective
+    if aim.rows is None or not study.plan.curve:
+        return []
+    return curve_json(
+        accuracy_curve(
+            aim,
+            study.plan,
+            partial(accuracy, study, aim.rows),
+            sizes(judged.visits),
+            seed,
+            pool=judged.pool,
+            own=judged.own,
+        ),
+        given=True,
+    )
 
 
 def _accuracy(study: Study, aim: Objective, covariance: Floats) -> Accuracy | None:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from doe.bounds import Bound, bound_of
 from doe.candidates import Candidates, candidates
-from doe.information import covariance_of
+from doe.information import covariance_of, information_of
 from doe.objective import Objective, objective
 from doe.observations import Observer, keep_columns, observer, stacked_visits
+from doe.pool import Pool
 from identify.arrays import Floats
 from identify.errors import Infeasible
 from identify.experiment import Experiment
@@ -31,8 +32,8 @@ class Evaluation:
         known: Parameters that they can identify.
         objective: The criterion on these parameters.
         information: (p, p) of them.
-        visits: Number of visits.
-        candidates: What it was compared with; None if nothing keeps to the constraints.
+        own: (V, k, p) blocks of the visits, in their order.
+        pool: What it was compared with, on these parameters; None if nothing keeps to the constraints.
         bound: Value and proven bound.
     """
 
@@ -41,9 +42,14 @@ class Evaluation:
     known: Identifiability
     objective: Objective
     information: Floats
-    visits: int
-    candidates: Candidates | None
+    own: Floats
+    pool: Pool | None
     bound: Bound
+
+    @property
+    def visits(self) -> int:
+        """Number of visits."""
+        return len(self.own)
 
     @property
     def covariance(self) -> Floats:
@@ -70,14 +76,14 @@ def evaluate(study: Study, experiment: Experiment, *, seed: int = 0) -> Evaluati
     known = independent_columns(triangle([own.reshape(-1, own.shape[2])]))
     aim = objective(watching, known, study.plan.criterion)
     own = own[:, :, known.kept]
-    rows = own.reshape(-1, aim.size)
-    information: Floats = rows.T @ rows
-    chosen = _candidates(study, seed)
-    pool = own[:0]
+    information = information_of(own)
+    chosen, pool = _candidates(study, seed), None
     if chosen is not None:
-        pool = keep_columns(watching.blocks(chosen.q[chosen.pose], chosen.visit_loads), known.kept)
-    bound = bound_of(aim, len(own), pool, own, aim.value(information), repeats=study.plan.repeats)
-    return Evaluation(watching, experiment, known, aim, information, len(own), chosen, bound)
+        blocks = keep_columns(watching.blocks(chosen.visit_q, chosen.visit_loads), known.kept)
+        pool = Pool(watching, chosen, known, blocks, aim)
+    among = own[:0] if pool is None else pool.blocks
+    bound = bound_of(aim, len(own), among, own, aim.value(information), repeats=study.plan.repeats)
+    return Evaluation(watching, experiment, known, aim, information, own, pool, bound)
 
 
 def _candidates(study: Study, seed: int) -> Candidates | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from doe.accuracy import Accuracy
 from doe.bounds import Bound
 from doe.candidates import Candidates
 from doe.confusability import SHOWN, confusability
+from doe.curve import CurvePoint, Reached
 from doe.objective import Objective
 from doe.subject import Subject
 from identify.arrays import Floats
@@ -28,6 +30,8 @@ __all__ = [
     "confusability_lines",
     "counts",
     "criteria",
+    "curve_json",
+    "curve_lines",
     "errors_at_test_poses",
     "judgement",
     "judgement_lines",
@@ -141,6 +145,42 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
     if rejected:
         lines.append(f"poses rejected: {rejected}")
     return (*lines, *(f"note: {note}" for note in content["notes"]))
+
+
+def curve_json(curve: Sequence[CurvePoint], *, given: bool) -> list[dict[str, float | int | None]]:
+    """Expected accuracy against the number of experiments, mm; ``given``: visits of a pose file are among it."""
+
+    def three(kind: str, reached: Reached | None) -> dict[str, float | None]:
+        values = (None, None, None) if reached is None else (reached.rms, reached.rms_total, reached.radius)
+        return dict(zip((f"{kind}_mm", f"{kind}_total_mm", f"{kind}_radius_mm"), values, strict=True))
+
+    return [
+        {
+            "poses": point.poses,
+            "bound_mm": point.bound,
+            **three("plan", point.plan),
+            **three("random", point.random),
+            **(three("own", point.own) if given else {}),
+        }
+        for point in curve
+    ]
+
+
+def curve_lines(curve: Sequence[Mapping[str, float | int | None]]) -> list[str]:
+    """The curve as a small table."""
+    kinds = {"bound_mm": "impossible below", "plan_mm": "designed", "random_mm": "random", "own_mm": "these"}
+    shown = {key: word for key, word in kinds.items() if any(point.get(key) is not None for point in curve)}
+    if not shown:
+        return []
+
+    def cell(value: float | None, word: str) -> str:
+        return f"{'-' if value is None else f'{value:.4f}':>{len(word) + 2}}"
+
+    head = f"{'experiments':>11}" + "".join(f"  {word}" for word in shown.values()) + "   (rms at the test poses, mm)"
+    return [
+        head,
+        *(f"{point['poses']:>11}" + "".join(cell(point[key], word) for key, word in shown.items()) for point in curve),
+    ]
 
 
 def criteria(aim: Objective, information: Floats) -> dict[str, float | None]:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from doe.bounds import Bound, bound_of
 from doe.choice import choose
-from doe.information import covariance_of, information_of
+from doe.guard import Guard
+from doe.information import covariance_of
 from doe.pool import Pool, build_pool
 from doe.refine import Refinement
 from doe.tolerance import sufficient
@@ -28,6 +29,7 @@ class Plan:
         final: Value and bound of this plan, on the candidates and its own poses.
         information: (p, p) of the identifiable parameters.
         refinement: What the refinement did, or None.
+        guard: What was weighed into the search.
         notes: What the user should know.
     """
 
@@ -38,6 +40,7 @@ class Plan:
     final: Bound
     information: Floats
     refinement: Refinement | None
+    guard: Guard
     notes: tuple[str, ...]
 
     @property
@@ -65,9 +68,21 @@ def plan(study: Study, *, seed: int = 0) -> Plan:
     aim, repeats = pool.objective, study.plan.repeats
     choice = sufficient(pool, seed) if study.plan.poses is None else choose(pool, study.plan.poses, seed)
     count, none = len(choice.q), pool.blocks[:0]
-    grid = bound_of(aim, count, pool.blocks, none, aim.value(information_of(choice.grid)), repeats=repeats)
-    information = information_of(choice.own)
+    value = aim.value(pool.information(choice.grid))
+    grid = bound_of(aim, count, pool.blocks, none, value, repeats=repeats, prior=pool.prior)
+    information = pool.information(choice.own)
     final = grid
     if choice.own is not choice.grid:
-        final = bound_of(aim, count, pool.blocks, choice.own, aim.value(information), repeats=repeats)
-    return Plan(pool, choice.q, choice.visit_loads, grid, final, information, choice.refinement, choice.notes)
+        value = aim.value(information)
+        final = bound_of(aim, count, pool.blocks, choice.own, value, repeats=repeats, prior=pool.prior)
+    return Plan(
+        pool,
+        choice.q,
+        choice.visit_loads,
+        grid,
+        final,
+        information,
+        choice.refinement,
+        choice.guard,
+        choice.notes,
+    )

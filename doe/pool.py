@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from doe.candidates import Candidates, candidates
+from doe.information import information_of
 from doe.objective import Objective, objective
 from doe.observations import Observer, identifiable, keep_columns, observer
 from doe.subject import Subject
@@ -35,6 +36,13 @@ class AnyPool(Protocol):
     def objective(self) -> Objective:
         """The criterion on these parameters."""
 
+    @property
+    def prior(self) -> Floats | None:
+        """(p, p) information that is there already, in full, or None."""
+
+    def information(self, blocks: Floats) -> Floats:
+        """(p, p) of blocks (n, k, p) and of what is there already."""
+
 
 @dataclass(frozen=True, eq=False)
 class Pool:
@@ -46,6 +54,7 @@ class Pool:
         known: Parameters that they can identify.
         blocks: (N, k, p) on the identifiable parameters.
         objective: The criterion on these parameters.
+        prior: (p, p) information that is there already, in full, or None.
     """
 
     observer: Observer
@@ -53,6 +62,11 @@ class Pool:
     known: Identifiability
     blocks: Floats
     objective: Objective
+    prior: Floats | None = None
+
+    def information(self, blocks: Floats) -> Floats:
+        """(p, p) of blocks (n, k, p) and of what is there already."""
+        return information_of(blocks, self.prior)
 
 
 def build_pool(study: Study, seed: int) -> Pool:

@@ -8,6 +8,7 @@ import numpy as np
 
 from doe.bounds import joined
 from doe.candidates import Candidates, candidates
+from doe.information import information_of
 from doe.objective import Objective, objective
 from doe.observations import identifiable, keep_columns
 from doe.two_arms import TwoArmObserver, two_arm_observer
@@ -35,6 +36,14 @@ class TwoArmPool:
     known: Identifiability
     blocks: Floats
     objective: Objective
+
+    @property
+    def prior(self) -> None:
+        """Nothing is known before."""
+
+    def information(self, blocks: Floats) -> Floats:
+        """(p, p) of blocks (n, k, p)."""
+        return information_of(blocks)
 
     def of_arm(self, chosen: Ints, side: int) -> Ints:
         """Indices into the candidates of one arm, for those of the (n,) chosen candidates that are its own."""

@@ -169,6 +169,7 @@ class TwoArmPlanSection(Section):
     refine: Switch = True
     repeats: Switch = True
     max_std_percent: Positive = 300.0
+    curve: Switch = True
 
 
 class PlanSection(TwoArmPlanSection):

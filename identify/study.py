@@ -106,6 +106,8 @@ class PlanSettings:
         reference_rows: Each visit also reads the unloaded state.
         repeats: One candidate may be measured several times.
         max_std_percent: No parameter's std may exceed this percentage of its std under the best A plan.
+        curve: Also tell the accuracy against the number of experiments.
+        losses: Visits that may be lost: the plan is the best after losing any so many.
     """
 
     poses: int | None = 15
@@ -119,6 +121,8 @@ class PlanSettings:
     reference_rows: bool = True
     repeats: bool = True
     max_std_percent: float = 300.0
+    curve: bool = True
+    losses: int = 0
 
 
 @dataclass(frozen=True, eq=False)

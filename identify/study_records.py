@@ -117,6 +117,7 @@ def plan_settings(table: PlanSection, loads: Sequence[LoadCase]) -> PlanSettings
         reference_rows=table.reference_rows,
         repeats=table.repeats,
         max_std_percent=table.max_std_percent,
+        curve=table.curve,
     )
 
 
