@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.candidates import rounded
+from doe.earlier import NOTHING, Earlier
 from doe.feasible import check, joint_range
 from doe.guard import Guard, blind_spot, guarded_search
 from doe.information import information_of, standard_deviations
@@ -61,7 +62,7 @@ def choose(pool: Pool, count: int, seed: int) -> Choice:
     if study.plan.refine and count:
         log.info("refining the joint angles of %d experiments", count)
         refined, moved, refinement = off_grid(
-            pool.observer, pool.known.kept, aim, chosen, q, loads, most, others_of(pool.prior)
+            pool.observer, pool.known.kept, aim, chosen, q, loads, most, others_of(pool.prior), pool.earlier
         )
         if aim.value(pool.information(moved)) < aim.value(pool.information(grid)):
             q, own = refined, moved
@@ -91,6 +92,7 @@ def off_grid(
     loads: Ints,
     most: Floats | None,
     others: Others | None = None,
+    earlier: Earlier = NOTHING,
 ) -> tuple[Floats, Floats, Refinement]:
     """Move the visits of one arm off the grid.
 
@@ -103,6 +105,7 @@ def off_grid(
         loads: (n, L) loads.
         most: (p,) standard deviations that must not be exceeded, or None.
         others: What else belongs to the plan.
+        earlier: What it keeps clear of.
 
     Returns:
         Joint values (n, dof) as a plan file holds them, the blocks (n, k, p) and what was done. They may be no better.
@@ -117,7 +120,7 @@ def off_grid(
         return own if others is None else own + others.rows.T @ others.rows
 
     for limit in (None, most):  # most plans keep the limit without being told
-        refinement = _refine(observer, kept, aim, q, loads, limit, others)
+        refinement = _refine(observer, kept, aim, q, loads, limit, others, earlier)
         refined = rounded(observer.study, refinement.q)
         refined = _together(lambda values: aim.value(information(values)), chosen, refined)
         if most is None or (standard_deviations(information(refined)) <= most * (1.0 + 1e-6)).all():
@@ -133,10 +136,16 @@ def _refine(
     loads: Ints,
     limits: Floats | None,
     others: Others | None,
+    earlier: Earlier,
 ) -> Refinement:
-    """Move the joint angles within limits, floor and the parameters' limits; self-collision is checked on arrival."""
+    """Move the joint angles within limits, floor and the parameters' limits; the rest is checked on arrival."""
     study = observer.study
     lower, upper = joint_range(study)
+
+    def allowed(moved: Floats) -> np.ndarray:
+        arrived = rounded(study, moved)
+        return np.asarray(check(study, arrived, loads).ok & earlier.clear(study, arrived))
+
     return refine(
         observer,
         q,
@@ -148,7 +157,7 @@ def _refine(
         upper=upper,
         floor=study.constraints.floor,
         max_std=limits,
-        allowed=lambda moved: check(study, rounded(study, moved), loads).ok,
+        allowed=allowed,
         others=others,
     )
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from doe.accuracy import Accuracy, accuracy
 from doe.curve import accuracy_curve, fewest_shown, sizes
+from doe.earlier_files import NO_FILES, EarlierFiles, load_earlier
 from doe.evaluate import Evaluation, evaluate
-from doe.information import standard_deviations
+from doe.information import covariance_of, standard_deviations
 from doe.joint_only import joint_only
 from doe.judgement import (
     bound_json,
@@ -26,6 +27,7 @@ from doe.judgement import (
     judgement_lines,
     weakest,
 )
+from doe.next_visits import following_names
 from doe.objective import Objective
 from doe.plan import Plan, plan
 from identify.arrays import Floats
@@ -38,10 +40,10 @@ from identify.tables import load_plan, plan_csv, plan_experiment
 __all__ = ["run_evaluate", "run_plan"]
 
 
-def run_plan(study_file: Path, *, seed: int) -> Outcome:
-    """Pick poses and loads for a study file."""
-    study = load_study(study_file)
-    made = plan(study, seed=seed)
+def run_plan(study_file: Path, *, seed: int, before: EarlierFiles = NO_FILES) -> Outcome:
+    """Pick poses and loads for a study file, beside what was measured before."""
+    study, earlier, told = load_earlier(load_study(study_file), before)
+    made = plan(study, seed=seed, earlier=earlier)
     reached = _accuracy(study, made.pool.objective, made.covariance)
     simple = joint_only(made, seed=seed)
     content = {
@@ -54,13 +56,16 @@ def run_plan(study_file: Path, *, seed: int) -> Outcome:
         "std": standard_deviations(made.information),
         **counts(made.pool.candidates),
         "curve": _curve_of_plan(study, made, seed),
+        "measured": _measured(study, made),
+        "unreachable": list(before.unreachable),
         "time_s": None,
-        "notes": list(made.notes),
+        "notes": [*told, *made.notes],
     }
-    experiment = full_experiment(made.q, made.visit_loads, study.loads, study.markers)
+    names = following_names("P", earlier.names, len(made.q)) if earlier.names else None
+    experiment = full_experiment(made.q, made.visit_loads, study.loads, study.markers, names)
     tables = {"plan.csv": plan_csv(experiment, study)}
     lines = (*judgement_lines(content, len(made.q)), *curve_lines(content["curve"]))
-    return Outcome("plan", content, study.inputs, tables, lines)
+    return Outcome("plan", content, (*study.inputs, *before.paths), tables, lines)
 
 
 def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
@@ -91,6 +96,21 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
         *confusability_lines(content["confusability"]),
     )
     return Outcome("evaluate", content, (*study.inputs, plan_file), {}, lines)
+
+
+def _measured(study: Study, made: Plan) -> dict[str, Any] | None:
+    """What the measured visits alone reach; None without any."""
+    measured, prior = made.pool.earlier.measured, made.pool.prior
+    if measured is None or prior is None:
+        return None
+    value = made.pool.objective.value(prior)
+    reached = _accuracy(study, made.pool.objective, covariance_of(prior)) if np.isfinite(value) else None
+    return {
+        "visits": len(np.unique(measured.row_visit)),
+        "value": value,
+        "rms_mm": None if reached is None else reached.rms,
+        "rms_total_mm": None if reached is None else reached.rms_total,
+    }
 
 
 def _curve_of_plan(study: Study, made: Plan, seed: int) -> list[dict[str, Any]]:

@@ -110,21 +110,20 @@ def weakest(observer: Subject, known: Identifiability, aim: Objective, covarianc
 def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
     """The content of plan.json or evaluate.json for people; ``count`` experiments."""
     criterion = content["criterion"]
-    lines = [
+    lines = _measured_lines(content, count)
+    lines.append(
         f"{count} experiments at {content['different_poses']} different poses, {content['rank']} parameters, "
         f"reference {content['reference']}"
-    ]
+    )
     if criterion["rms_mm"] is not None:
         lines.append(
             f"expected error at the test poses: {criterion['rms_mm']:.4f} mm rms "
             f"({criterion['rms_total_mm']:.4f} mm with the robot's repeatability)"
         )
     lines.append(f"criterion {criterion['name']} = {criterion['value']:.5g} {criterion['unit']}")
-    lines.append(
-        f"proven: no {count} of these poses and the {content['candidates']} candidates reach less than "
-        f"{content['bound']:.5g}, so the efficiency is at least {100 * content['efficiency']:.2f} %"
-    )
-    if content["grid"] is not None:
+    if count:
+        lines.append(_proof_line(content, count))
+    if content["grid"] is not None and count:
         lines.append(
             f"before refinement: {content['grid']['value']:.5g}, on the candidates alone at least "
             f"{100 * content['grid']['efficiency']:.2f} % efficient"
@@ -145,6 +144,29 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
     if rejected:
         lines.append(f"poses rejected: {rejected}")
     return (*lines, *(f"note: {note}" for note in content["notes"]))
+
+
+def _proof_line(content: dict[str, Any], count: int) -> str:
+    """The bound in words."""
+    beside = "" if content.get("measured") is None else " beside what was measured"
+    return (
+        f"proven: no {count} of these poses and the {content['candidates']} candidates{beside} reach less than "
+        f"{content['bound']:.5g}, so the efficiency is at least {100 * content['efficiency']:.2f} %"
+    )
+
+
+def _measured_lines(content: dict[str, Any], count: int) -> list[str]:
+    """What was measured before, and whether that is enough."""
+    measured = content.get("measured")
+    if measured is None:
+        return []
+    told = (
+        "too little to tell the accuracy"
+        if measured["rms_mm"] is None
+        else (f"expected error {measured['rms_mm']:.4f} mm rms ({measured['rms_total_mm']:.4f} mm with repeatability)")
+    )
+    lines = [f"measured already: {measured['visits']} visits, {told}"]
+    return lines if count else [*lines, "this keeps the tolerance: nothing more needs to be measured"]
 
 
 def curve_json(curve: Sequence[CurvePoint], *, given: bool) -> list[dict[str, float | int | None]]:

@@ -217,9 +217,9 @@ def _self_weight_columns(model: Model, experiment: Experiment) -> Floats:
     return columns
 
 
-def identifiable(blocks: Floats) -> Identifiability:
-    """Kept parameters of a set of blocks (N, k, p)."""
-    return independent_columns(triangle([blocks.reshape(-1, blocks.shape[2])]))
+def identifiable(*blocks: Floats | None) -> Identifiability:
+    """Kept parameters of one or several sets of blocks (N, k, p) together."""
+    return independent_columns(triangle([part.reshape(-1, part.shape[2]) for part in blocks if part is not None]))
 
 
 def keep_columns(blocks: Floats, kept: Ints) -> Floats:

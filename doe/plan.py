@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from doe.bounds import Bound, bound_of
 from doe.choice import choose
+from doe.earlier import NOTHING, Earlier
 from doe.guard import Guard
 from doe.information import covariance_of
 from doe.pool import Pool, build_pool
@@ -49,7 +50,7 @@ class Plan:
         return covariance_of(self.information)
 
 
-def plan(study: Study, *, seed: int = 0) -> Plan:
+def plan(study: Study, *, seed: int = 0, earlier: Earlier = NOTHING) -> Plan:
     """Pick the poses and loads that minimise the criterion of the study.
 
     Candidates are drawn over the joint limits; column generation gives the best relaxed design and its
@@ -59,12 +60,14 @@ def plan(study: Study, *, seed: int = 0) -> Plan:
     Args:
         study: The study; its ``[plan]`` says what is wanted.
         seed: Seed of candidates and search.
+        earlier: What was measured, which counts in full beside the ``poses`` that are picked, and poses to keep clear
+            of. With a tolerance none may be left to pick.
 
     Raises:
         NotIdentifiable: The criterion needs what no candidate shows, or n is too small.
         Infeasible: No candidate keeps to the constraints, or no plan meets the tolerance.
     """
-    pool = build_pool(study, seed)
+    pool = build_pool(study, seed, earlier)
     aim, repeats = pool.objective, study.plan.repeats
     choice = sufficient(pool, seed) if study.plan.poses is None else choose(pool, study.plan.poses, seed)
     count, none = len(choice.q), pool.blocks[:0]

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from doe.candidates import Candidates, candidates
+from doe.earlier import NOTHING, Earlier, without_refused
 from doe.information import information_of
 from doe.objective import Objective, objective
-from doe.observations import Observer, identifiable, keep_columns, observer
+from doe.observations import Observer, identifiable, keep_columns, observer, stacked_visits
 from doe.subject import Subject
 from identify.arrays import Floats
 from identify.identifiability import Identifiability
@@ -51,10 +52,11 @@ class Pool:
     Attributes:
         observer: How poses become blocks.
         candidates: The feasible candidates.
-        known: Parameters that they can identify.
+        known: Parameters that they, and what was measured, can identify.
         blocks: (N, k, p) on the identifiable parameters.
         objective: The criterion on these parameters.
-        prior: (p, p) information that is there already, in full, or None.
+        prior: (p, p) information of what was measured, or None.
+        earlier: What was there before.
     """
 
     observer: Observer
@@ -63,22 +65,28 @@ class Pool:
     blocks: Floats
     objective: Objective
     prior: Floats | None = None
+    earlier: Earlier = NOTHING
 
     def information(self, blocks: Floats) -> Floats:
         """(p, p) of blocks (n, k, p) and of what is there already."""
         return information_of(blocks, self.prior)
 
 
-def build_pool(study: Study, seed: int) -> Pool:
-    """Candidates, their blocks and the objective."""
-    chosen = candidates(study, seed=seed)
+def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING) -> Pool:
+    """Candidates, their blocks and the objective; what was measured adds its information.
+
+    Frame and markers are the same for measured and new visits, so both tell about them.
+
+    Raises:
+        NotIdentifiable: The criterion needs what neither candidates nor measured visits show.
+        Infeasible: No candidate keeps to the constraints, or none is clear of what could not be measured.
+    """
+    chosen = without_refused(study, candidates(study, seed=seed), earlier)
     watching = observer(study)
-    blocks = watching.blocks(chosen.q[chosen.pose], chosen.visit_loads)
-    known = identifiable(blocks)
-    return Pool(
-        watching,
-        chosen,
-        known,
-        keep_columns(blocks, known.kept),
-        objective(watching, known, study.plan.criterion),
-    )
+    blocks = watching.blocks(chosen.visit_q, chosen.visit_loads)
+    measured = None if earlier.measured is None else stacked_visits(watching, earlier.measured)
+    known = identifiable(blocks, measured)
+    prior = None if measured is None else information_of(measured[:, :, known.kept])
+    own = keep_columns(blocks, known.kept)
+    aim = objective(watching, known, study.plan.criterion)
+    return Pool(watching, chosen, known, own, aim, prior, earlier)

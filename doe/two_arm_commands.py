@@ -9,6 +9,7 @@ import numpy as np
 
 from doe.accuracy import Accuracy
 from doe.curve import Judge, accuracy_curve, fewest_shown, sizes
+from doe.earlier_files import NO_FILES, EarlierFiles
 from doe.information import standard_deviations
 from doe.judgement import (
     bound_json,
@@ -38,8 +39,17 @@ __all__ = ["run_evaluate_both", "run_plan_for_both"]
 _APART = "poses are checked for each arm alone: keep the arm that is not measured out of the way, unloaded and still"
 
 
-def run_plan_for_both(study_file: Path, *, seed: int) -> Outcome:
-    """Pick poses and loads of both arms for a study of two arms."""
+def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_FILES) -> Outcome:
+    """Pick poses and loads of both arms for a study of two arms.
+
+    Raises:
+        InputError: The file is wrong, or something that was measured before is named.
+    """
+    if before != NO_FILES:
+        raise InputError(
+            f"{study_file}: --measured, --result, --earlier and --unreachable belong to a study of one arm; this one "
+            "has [[arms]]. Plan for the study of the arm that is measured, which stands under [[arms]] study"
+        )
     study = load_two_arm_study(study_file)
     made = plan_for_both(study, seed=seed)
     pool, arms = made.pool, made.choice.arms
