@@ -17,10 +17,12 @@ from doe.objective import Objective
 from doe.observations import Observer
 from doe.pool import Pool
 from doe.refine import Others, Refinement, refine
+from doe.robustness import value_that_counts
 from identify.arrays import Floats, Ints
 
 __all__ = ["Choice", "choose", "off_grid"]
 
+_SHARES = (1.0, 0.5, 0.25, 0.125)  # of the way of a refinement that is tried for robust plans
 _HARDLY = 1e-3  # loss of the criterion that a plan with fewer different poses is worth
 
 log = logging.getLogger("elastocal")
@@ -64,13 +66,33 @@ def choose(pool: Pool, count: int, seed: int) -> Choice:
         refined, moved, refinement = off_grid(
             pool.observer, pool.known.kept, aim, chosen, q, loads, most, others_of(pool.prior), pool.earlier
         )
-        if aim.value(pool.information(moved)) < aim.value(pool.information(grid)):
+        if study.plan.losses or pool.draws:
+            refined, moved = _part_of_the_way(pool, q, loads, refined)
+        if value_that_counts(pool, refined, loads, moved) < value_that_counts(pool, q, loads, grid):
             q, own = refined, moved
     if refinement is not None and refinement.reason:
         notes = (*notes, f"not refined: {refinement.reason}")
     if best is not None:
         notes = (*notes, *blind_spot(pool, own, best))
     return Choice(q, loads, grid, own, refinement, guard, notes)
+
+
+def _part_of_the_way(pool: Pool, q: Floats, loads: Ints, refined: Floats) -> tuple[Floats, Floats]:
+    """The allowed joint values between a plan and its refined one that are best by what counts, and their blocks.
+
+    The refinement knows the nominal criterion alone, and may go too far for the worst loss or for other values.
+    """
+    study, best, least = pool.observer.study, q, np.inf
+    blocks = pool.observer.blocks(q, loads)[:, :, pool.known.kept]
+    for share in _SHARES:
+        moved = rounded(study, q + share * (refined - q))
+        if not (check(study, moved, loads).ok & pool.earlier.clear(study, moved)).all():
+            continue
+        own = pool.observer.blocks(moved, loads)[:, :, pool.known.kept]
+        value = value_that_counts(pool, moved, loads, own)
+        if value < least:
+            best, blocks, least = moved, own, value
+    return best, blocks
 
 
 def others_of(prior: Floats | None) -> Others | None:

@@ -46,6 +46,8 @@ def run_plan(study_file: Path, *, seed: int, before: EarlierFiles = NO_FILES) ->
     made = plan(study, seed=seed, earlier=earlier)
     reached = _accuracy(study, made.pool.objective, made.covariance)
     simple = joint_only(made, seed=seed)
+    names = following_names("P", earlier.names, len(made.q)) if earlier.names else None
+    experiment = full_experiment(made.q, made.visit_loads, study.loads, study.markers, names)
     content = {
         **judgement(made.pool.observer, made.pool.known, made.pool.objective, made.final, reached),
         "grid": bound_json(made.grid),
@@ -56,13 +58,12 @@ def run_plan(study_file: Path, *, seed: int, before: EarlierFiles = NO_FILES) ->
         "std": standard_deviations(made.information),
         **counts(made.pool.candidates),
         "curve": _curve_of_plan(study, made, seed),
+        "robust": _robust(study, made, experiment.visits),
         "measured": _measured(study, made),
         "unreachable": list(before.unreachable),
         "time_s": None,
         "notes": [*told, *made.notes],
     }
-    names = following_names("P", earlier.names, len(made.q)) if earlier.names else None
-    experiment = full_experiment(made.q, made.visit_loads, study.loads, study.markers, names)
     tables = {"plan.csv": plan_csv(experiment, study)}
     lines = (*judgement_lines(content, len(made.q)), *curve_lines(content["curve"]))
     return Outcome("plan", content, (*study.inputs, *before.paths), tables, lines)
@@ -96,6 +97,23 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
         *confusability_lines(content["confusability"]),
     )
     return Outcome("evaluate", content, (*study.inputs, plan_file), {}, lines)
+
+
+def _robust(study: Study, made: Plan, names: tuple[str, ...]) -> dict[str, Any] | None:
+    """What the plan is worth after losses and at other nominal values; None if not asked for."""
+    found, aim = made.robust, made.pool.objective
+    if found is None:
+        return None
+    left = [] if aim.rows is None else [accuracy(study, aim.rows, covariance_of(one)) for one in found.left]
+    return {
+        "losses": found.losses,
+        "draws": found.draws,
+        **bound_json(found.reached),
+        "worst_loss": [names[visit] for visit in found.lost],
+        "rms_mm": max((each.rms for each in left), default=None),
+        "rms_total_mm": max((each.rms_total for each in left), default=None),
+        "radius_mm": max((each.radius(study.plan.confidence) for each in left), default=None),
+    }
 
 
 def _measured(study: Study, made: Plan) -> dict[str, Any] | None:

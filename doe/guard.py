@@ -9,8 +9,10 @@ import numpy as np
 
 from doe.exact import exact_design
 from doe.information import standard_deviations
+from doe.losses import after_losses
 from doe.objective import Objective
 from doe.pool import AnyPool
+from doe.robust import exchanged, worst_case
 from identify.arrays import Floats, Ints
 from identify.errors import Infeasible, NotIdentifiable
 
@@ -54,8 +56,18 @@ def search(pool: AnyPool, count: int, seed: int, guard: Guard, *, effort: str = 
     """
     if not count:
         return np.zeros(0, dtype=np.int64)
-    aim = pool.objective
-    return _found(pool, guard.target(aim), count, seed, aim.criterion, effort)
+    aim, losses = pool.objective, pool.observer.settings.losses
+    chosen = _found(pool, guard.target(aim), count, seed, aim.criterion, effort)
+    if not losses and not pool.draws:
+        return chosen
+    chosen = exchanged(pool, guard.target, chosen, losses, effort, seed)
+    left = after_losses(pool.blocks[chosen], losses, pool.prior)
+    if not np.isfinite(worst_case([aim], [left])[0]):
+        raise NotIdentifiable(
+            f"{pool.observer.path}: [plan] {count} poses are too few for robust_to_losses = {losses}: after the worst "
+            f"loss the rest does not show what criterion {aim.criterion} needs; plan more poses"
+        )
+    return chosen
 
 
 def _found(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str, effort: str) -> Ints:

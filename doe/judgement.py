@@ -128,6 +128,7 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
             f"before refinement: {content['grid']['value']:.5g}, on the candidates alone at least "
             f"{100 * content['grid']['efficiency']:.2f} % efficient"
         )
+    lines += _robust_lines(content)
     if content.get("refinement") is not None:
         lines.append(f"refining the joint angles gained {content['refinement']['gained_percent']:.1f} %")
     simple = content.get("joint_only")
@@ -153,6 +154,18 @@ def _proof_line(content: dict[str, Any], count: int) -> str:
         f"proven: no {count} of these poses and the {content['candidates']} candidates{beside} reach less than "
         f"{content['bound']:.5g}, so the efficiency is at least {100 * content['efficiency']:.2f} %"
     )
+
+
+def _robust_lines(content: dict[str, Any]) -> list[str]:
+    """What the plan is worth after losses and at other nominal values."""
+    robust = content.get("robust")
+    if robust is None:
+        return []
+    when = [f"after losing {' and '.join(robust['worst_loss'])}, the worst loss"] * bool(robust["losses"])
+    when += [f"on average over {robust['draws']} draws of the nominal values"] * bool(robust["draws"])
+    error = "" if robust["rms_mm"] is None else f", {robust['rms_mm']:.4f} mm rms at the test poses"
+    proof = f"proven: no plan of as many stays below {robust['bound']:.5g}"
+    return [f"{', '.join(when)}: {robust['value']:.5g}{error} ({proof})"]
 
 
 def _measured_lines(content: dict[str, Any], count: int) -> list[str]:

@@ -11,6 +11,7 @@ from doe.guard import Guard
 from doe.information import covariance_of
 from doe.pool import Pool, build_pool
 from doe.refine import Refinement
+from doe.robustness import Robustness, robustness
 from doe.tolerance import sufficient
 from identify.arrays import Floats, Ints
 from identify.study import Study
@@ -31,6 +32,7 @@ class Plan:
         information: (p, p) of the identifiable parameters.
         refinement: What the refinement did, or None.
         guard: What was weighed into the search.
+        robust: What it is worth after losses and at other nominal values; None if not asked for.
         notes: What the user should know.
     """
 
@@ -42,6 +44,7 @@ class Plan:
     information: Floats
     refinement: Refinement | None
     guard: Guard
+    robust: Robustness | None
     notes: tuple[str, ...]
 
     @property
@@ -87,5 +90,6 @@ def plan(study: Study, *, seed: int = 0, earlier: Earlier = NOTHING) -> Plan:
         information,
         choice.refinement,
         choice.guard,
+        robustness(pool, choice.q, choice.visit_loads, choice.own),
         choice.notes,
     )

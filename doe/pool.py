@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 from typing import Protocol
 
+import numpy as np
+
 from doe.candidates import Candidates, candidates
+from doe.draws import drawn_values
 from doe.earlier import NOTHING, Earlier, without_refused
 from doe.information import information_of
 from doe.objective import Objective, objective
@@ -16,6 +20,8 @@ from identify.identifiability import Identifiability
 from identify.study import Study
 
 __all__ = ["AnyPool", "Pool", "build_pool"]
+
+log = logging.getLogger("elastocal")
 
 
 class AnyPool(Protocol):
@@ -41,6 +47,10 @@ class AnyPool(Protocol):
     def prior(self) -> Floats | None:
         """(p, p) information that is there already, in full, or None."""
 
+    @property
+    def draws(self) -> tuple[AnyPool, ...]:
+        """The same candidates at other nominal values; empty where the plan is made at the nominal ones."""
+
     def information(self, blocks: Floats) -> Floats:
         """(p, p) of blocks (n, k, p) and of what is there already."""
 
@@ -57,6 +67,7 @@ class Pool:
         objective: The criterion on these parameters.
         prior: (p, p) information of what was measured, or None.
         earlier: What was there before.
+        draws: The same candidates at draws of the nominal values; empty if the plan is for the nominal ones.
     """
 
     observer: Observer
@@ -66,6 +77,7 @@ class Pool:
     objective: Objective
     prior: Floats | None = None
     earlier: Earlier = NOTHING
+    draws: tuple[Pool, ...] = ()
 
     def information(self, blocks: Floats) -> Floats:
         """(p, p) of blocks (n, k, p) and of what is there already."""
@@ -81,12 +93,37 @@ def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING) -> Pool:
         NotIdentifiable: The criterion needs what neither candidates nor measured visits show.
         Infeasible: No candidate keeps to the constraints, or none is clear of what could not be measured.
     """
+    drawn = drawn_values(study, seed) if study.plan.draws else ()
     chosen = without_refused(study, candidates(study, seed=seed), earlier)
     watching = observer(study)
     blocks = watching.blocks(chosen.visit_q, chosen.visit_loads)
     measured = None if earlier.measured is None else stacked_visits(watching, earlier.measured)
     known = identifiable(blocks, measured)
+    own = _pool(watching, chosen, known, blocks, earlier, measured)
+    draws = tuple(_at_values(own, replace(study, nominal=values)) for values in drawn)
+    same = all(np.allclose(draw.blocks, own.blocks, rtol=1e-9, atol=0.0) for draw in draws)
+    if same and draws:
+        log.warning("%s: [plan] draws change nothing: these effects are linear in their values", study.path)
+    return own if same else replace(own, draws=draws)
+
+
+def _at_values(pool: Pool, study: Study) -> Pool:
+    """The same candidates and parameters at other nominal values."""
+    watching, earlier = replace(observer(study), reference=pool.observer.reference), pool.earlier
+    blocks = watching.blocks(pool.candidates.visit_q, pool.candidates.visit_loads)
+    measured = None if earlier.measured is None else stacked_visits(watching, earlier.measured)
+    return _pool(watching, pool.candidates, pool.known, blocks, earlier, measured)
+
+
+def _pool(
+    watching: Observer,
+    chosen: Candidates,
+    known: Identifiability,
+    blocks: Floats,
+    earlier: Earlier,
+    measured: Floats | None,
+) -> Pool:
+    """A pool on the kept parameters; ``blocks`` (N, k, p) are used up, ``measured`` (V, k, p) is the prior."""
     prior = None if measured is None else information_of(measured[:, :, known.kept])
-    own = keep_columns(blocks, known.kept)
-    aim = objective(watching, known, study.plan.criterion)
-    return Pool(watching, chosen, known, own, aim, prior, earlier)
+    aim = objective(watching, known, watching.study.plan.criterion)
+    return Pool(watching, chosen, known, keep_columns(blocks, known.kept), aim, prior, earlier)

@@ -41,6 +41,11 @@ class TwoArmPool:
     def prior(self) -> None:
         """Nothing is known before."""
 
+    @property
+    def draws(self) -> tuple[()]:
+        """Plans for two arms are made at the nominal values."""
+        return ()
+
     def information(self, blocks: Floats) -> Floats:
         """(p, p) of blocks (n, k, p)."""
         return information_of(blocks)

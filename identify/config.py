@@ -49,6 +49,7 @@ from identify.units import DEG, MM
 __all__ = ["load_study", "split_options"]
 
 _T = TypeVar("_T", bound=Section)
+_NUMBERS = {"nominal", "nominal_std_percent", "values"}  # tables of numbers by parameter name
 
 
 def load_study(path: str | Path) -> Study:
@@ -142,7 +143,7 @@ def split_options(
     if not isinstance(table, Mapping):
         return table, MappingProxyType({})
     keys = list(schema.model_fields)
-    own = {key: _flat(value) if key in {"nominal", "values"} else value for key, value in table.items() if key in keys}
+    own = {key: _flat(value) if key in _NUMBERS else value for key, value in table.items() if key in keys}
     options: dict[str, Mapping[str, Any]] = {}
     for key, value in table.items():
         if key in keys:
@@ -211,6 +212,7 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study
         equilibrium=model.equilibrium,
         rows=model.rows,
         nominal=MappingProxyType(dict(model.nominal)),
+        nominal_std_percent=MappingProxyType(dict(model.nominal_std_percent)),
         options=file.options,
         test_poses=tuple(test_pose(pose, robot, pose.weight) for pose in file.test_poses or []),
         plan=plan_settings(file.plan or PlanSection(), loads),

@@ -131,6 +131,7 @@ class ModelSection(Section):
     equilibrium: Literal["linear", "loaded"] = "linear"
     rows: Literal["vectors", "dual_quaternions", "dual_quaternion_deviations"] = "vectors"
     nominal: dict[str, Number] = {}
+    nominal_std_percent: dict[str, Positive] = {}
 
 
 class ModelChoiceSection(Section):
@@ -178,6 +179,8 @@ class PlanSection(TwoArmPlanSection):
     loads: Annotated[list[Id], Field(min_length=1)] | None = None
     loads_per_pose: Count = 1
     reference_rows: Switch = True
+    robust_to_losses: Annotated[int, Field(strict=True, ge=0, le=2)] = 0
+    draws: Annotated[int, Field(strict=True, ge=0, le=64)] = 0
 
 
 class ArmSection(Section):

@@ -108,6 +108,7 @@ class PlanSettings:
         max_std_percent: No parameter's std may exceed this percentage of its std under the best A plan.
         curve: Also tell the accuracy against the number of experiments.
         losses: Visits that may be lost: the plan is the best after losing any so many.
+        draws: Draws of uncertain nominal values on which the plan is good on average; 0: at the nominal ones.
     """
 
     poses: int | None = 15
@@ -123,6 +124,7 @@ class PlanSettings:
     max_std_percent: float = 300.0
     curve: bool = True
     losses: int = 0
+    draws: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,6 +200,7 @@ class Study:
         equilibrium: Torques on the undeflected arm (linear) or on the deflected one (loaded).
         rows: How the rows of a fit are built: vectors, or by dual quaternions (`identify.dual_rows`).
         nominal: Starting values by parameter name, in the units of the results.
+        nominal_std_percent: How uncertain these are, by name of a parameter or of an effect.
         options: Options of effects, by effect name.
         test_poses: Where accuracy counts.
         plan: What the plan is asked for.
@@ -219,6 +222,7 @@ class Study:
     equilibrium: Equilibrium = "linear"
     rows: RowAlgebra = "vectors"
     nominal: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    nominal_std_percent: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: MappingProxyType({}))
     test_poses: tuple[TestPose, ...] = ()
     plan: PlanSettings = field(default_factory=PlanSettings)

@@ -119,6 +119,11 @@ def check_plan(plan: PlanSection, loads: list[LoadSection] | None, problems: Pro
     """Poses or a tolerance; loads that exist and load the robot."""
     if plan.poses is not None and plan.tolerance_mm is not None:
         problems.add("[plan] poses", "give poses or tolerance_mm, not both", plan.poses)
+    for key in ("robust_to_losses", "draws"):
+        if getattr(plan, key) and plan.criterion == "E":
+            problems.add(f"[plan] {key}", "is not for criterion E; choose test_pose, A, D or G", getattr(plan, key))
+    if plan.poses is not None and plan.robust_to_losses >= plan.poses:
+        problems.add("[plan] robust_to_losses", f"must be below poses = {plan.poses}", plan.robust_to_losses)
     if loads is None or plan.loads is None:
         return
     known = {case.name: case for case in load_cases(loads)}

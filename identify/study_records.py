@@ -118,6 +118,8 @@ def plan_settings(table: PlanSection, loads: Sequence[LoadCase]) -> PlanSettings
         repeats=table.repeats,
         max_std_percent=table.max_std_percent,
         curve=table.curve,
+        losses=table.robust_to_losses,
+        draws=table.draws,
     )
 
 
