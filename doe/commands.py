@@ -30,6 +30,7 @@ from doe.judgement import (
 from doe.next_visits import following_names
 from doe.objective import Objective
 from doe.plan import Plan, plan
+from doe.regions import poses_in
 from identify.arrays import Floats
 from identify.commands import Outcome
 from identify.config import load_study
@@ -44,6 +45,7 @@ def run_plan(study_file: Path, *, seed: int, before: EarlierFiles = NO_FILES) ->
     """Pick poses and loads for a study file, beside what was measured before."""
     study, earlier, told = load_earlier(load_study(study_file), before)
     made = plan(study, seed=seed, earlier=earlier)
+    study = made.pool.observer.study
     reached = _accuracy(study, made.pool.objective, made.covariance)
     simple = joint_only(made, seed=seed)
     names = following_names("P", earlier.names, len(made.q)) if earlier.names else None
@@ -74,6 +76,7 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
     study = load_study(study_file)
     experiment = plan_experiment(load_plan(plan_file, study), study)
     judged = evaluate(study, experiment, seed=seed)
+    stated, study = study, judged.observer.study
     aim = judged.objective
     reached = _accuracy(study, aim, judged.covariance)
     content = {
@@ -81,7 +84,8 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
         "grid": None,
         "poses": judged.visits,
         "different_poses": len(np.unique(experiment.q, axis=0)),
-        "test_poses": errors_at_test_poses(reached),
+        "test_poses": errors_at_test_poses(reached)[: len(stated.test_poses)],
+        "test_regions": _regions(stated, reached),
         "criteria": criteria(aim, judged.information),
         "weakest": weakest(judged.observer, judged.known, aim, judged.covariance),
         "std": standard_deviations(judged.information),
@@ -97,6 +101,20 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
         *confusability_lines(content["confusability"]),
     )
     return Outcome("evaluate", content, (*study.inputs, plan_file), {}, lines)
+
+
+def _regions(stated: Study, reached: Accuracy | None) -> list[dict[str, Any]]:
+    """Error over each test region: rms, and at its worst point."""
+    errors, found, start = errors_at_test_poses(reached), [], len(stated.test_poses)
+    for region in range(len(stated.test_regions)):
+        own = errors[start : start + len(poses_in(stated, region))]
+        start += len(own)
+        found.append({
+            "points": len(own),
+            **{key: float(np.sqrt(np.mean([each[key] ** 2 for each in own]))) for key in ("rms_mm", "rms_total_mm")},
+            **{f"max_{key}": max(each[key] for each in own) for key in ("rms_mm", "ci95", "ci95_total")},
+        })
+    return found
 
 
 def _robust(study: Study, made: Plan, names: tuple[str, ...]) -> dict[str, Any] | None:

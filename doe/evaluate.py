@@ -11,6 +11,7 @@ from doe.information import covariance_of, information_of
 from doe.objective import Objective, objective
 from doe.observations import Observer, keep_columns, observer, stacked_visits
 from doe.pool import Pool
+from doe.regions import with_regions
 from identify.arrays import Floats
 from identify.errors import Infeasible
 from identify.experiment import Experiment
@@ -71,6 +72,7 @@ def evaluate(study: Study, experiment: Experiment, *, seed: int = 0) -> Evaluati
     Raises:
         NotIdentifiable: The criterion needs a direction that these poses cannot show.
     """
+    study = with_regions(study)
     watching = observer(study)
     own = stacked_visits(watching, experiment)
     known = independent_columns(triangle([own.reshape(-1, own.shape[2])]))

@@ -14,6 +14,7 @@ from doe.earlier import NOTHING, Earlier, without_refused
 from doe.information import information_of
 from doe.objective import Objective, objective
 from doe.observations import Observer, identifiable, keep_columns, observer, stacked_visits
+from doe.regions import with_regions
 from doe.subject import Subject
 from identify.arrays import Floats
 from identify.identifiability import Identifiability
@@ -93,6 +94,7 @@ def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING) -> Pool:
         NotIdentifiable: The criterion needs what neither candidates nor measured visits show.
         Infeasible: No candidate keeps to the constraints, or none is clear of what could not be measured.
     """
+    study = with_regions(study)
     drawn = drawn_values(study, seed) if study.plan.draws else ()
     chosen = without_refused(study, candidates(study, seed=seed), earlier)
     watching = observer(study)

@@ -43,6 +43,7 @@ from identify.study_records import (
     plan_settings,
     reduce_settings,
     test_pose,
+    test_region,
 )
 from identify.units import DEG, MM
 
@@ -215,6 +216,7 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study
         nominal_std_percent=MappingProxyType(dict(model.nominal_std_percent)),
         options=file.options,
         test_poses=tuple(test_pose(pose, robot, pose.weight) for pose in file.test_poses or []),
+        test_regions=tuple(test_region(region, robot) for region in file.test_regions or []),
         plan=plan_settings(file.plan or PlanSection(), loads),
         constraints=constraints(file.constraints or ConstraintsSection()),
         reduce=reduce_settings(file.reduce or ReduceSection()),

@@ -29,6 +29,7 @@ __all__ = [
     "Section",
     "StudyFile",
     "TestPoseSection",
+    "TestRegionSection",
     "ToolSection",
     "TrackerSection",
     "TruthSection",
@@ -159,6 +160,22 @@ class TestPoseSection(ArmPoseSection):
     weight: Positive = 1.0
 
 
+class TestRegionSection(Section):
+    """One of ``[[test_regions]]``."""
+
+    __test__ = False
+
+    joints_min_deg: list[Number]
+    joints_max_deg: list[Number]
+    wrench_min: Wrench = [0.0] * 6
+    wrench_max: Wrench = [0.0] * 6
+    frame: Axes = "world"
+    attach_mm: Vector = [0.0, 0.0, 0.0]
+    point_mm: Vector | None = None
+    weight: Positive = 1.0
+    points: Annotated[Count, Field(le=4096)] = 64
+
+
 class TwoArmPlanSection(Section):
     """``[plan]`` of two arms: what is common to them."""
 
@@ -246,6 +263,7 @@ STUDY_SECTIONS: dict[str, tuple[type[Section], bool]] = {
     "frames": (FramesSection, False),
     "model": (ModelSection, False),
     "test_poses": (TestPoseSection, True),
+    "test_regions": (TestRegionSection, True),
     "plan": (PlanSection, False),
     "constraints": (ConstraintsSection, False),
     "reduce": (ReduceSection, False),
@@ -265,6 +283,7 @@ class StudyFile:
     frames: FramesSection | None
     model: ModelSection | None
     test_poses: list[TestPoseSection] | None
+    test_regions: list[TestRegionSection] | None
     plan: PlanSection | None
     constraints: ConstraintsSection | None
     reduce: ReduceSection | None

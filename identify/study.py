@@ -16,7 +16,17 @@ from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 from identify.units import DEG, MM
 
-__all__ = ["Constraints", "ModelChoice", "Noise", "PlanSettings", "ReduceSettings", "Study", "TestPose", "Tracker"]
+__all__ = [
+    "Constraints",
+    "ModelChoice",
+    "Noise",
+    "PlanSettings",
+    "ReduceSettings",
+    "Study",
+    "TestPose",
+    "TestRegion",
+    "Tracker",
+]
 
 Criterion = Literal["test_pose", "A", "D", "E", "G"]
 Reference = Literal["absolute", "differences", "auto"]
@@ -87,6 +97,40 @@ class TestPose:
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
         for key in ("q", "wrench", "attach", "point"):
+            object.__setattr__(self, key, frozen(getattr(self, key)))
+
+
+@dataclass(frozen=True, eq=False)
+class TestRegion:
+    """A box of poses and wrenches where accuracy after compensation counts.
+
+    Attributes:
+        lower: (n,) smallest joint values, rad or m.
+        upper: (n,) largest joint values, rad or m.
+        wrench_lower: (6,) smallest process wrench at ``attach``, N and Nm.
+        wrench_upper: (6,) largest process wrench, N and Nm.
+        in_flange: True if the wrench is given in the flange frame, else world.
+        attach: (3,) flange frame, m.
+        point: (3,) the point whose error counts, flange frame, m.
+        weight: Weight of the whole region in the mean square.
+        points: Number of test poses that stand for it.
+    """
+
+    lower: Floats
+    upper: Floats
+    wrench_lower: Floats
+    wrench_upper: Floats
+    in_flange: bool
+    attach: Floats
+    point: Floats
+    weight: float = 1.0
+    points: int = 64
+
+    __test__ = False  # not a test class, whatever pytest thinks of the name
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for key in ("lower", "upper", "wrench_lower", "wrench_upper", "attach", "point"):
             object.__setattr__(self, key, frozen(getattr(self, key)))
 
 
@@ -203,6 +247,7 @@ class Study:
         nominal_std_percent: How uncertain these are, by name of a parameter or of an effect.
         options: Options of effects, by effect name.
         test_poses: Where accuracy counts.
+        test_regions: Boxes of poses and wrenches where it counts too.
         plan: What the plan is asked for.
         constraints: What poses must keep to.
         reduce: How the model is reduced.
@@ -225,6 +270,7 @@ class Study:
     nominal_std_percent: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: MappingProxyType({}))
     test_poses: tuple[TestPose, ...] = ()
+    test_regions: tuple[TestRegion, ...] = ()
     plan: PlanSettings = field(default_factory=PlanSettings)
     constraints: Constraints = field(default_factory=Constraints)
     reduce: ReduceSettings = field(default_factory=ReduceSettings)

@@ -17,6 +17,7 @@ from identify.schema import (
     PlanSection,
     ReduceSection,
     StudyFile,
+    TestRegionSection,
 )
 from identify.study_records import load_cases
 from identify.units import DEG, MM
@@ -45,6 +46,8 @@ def check_study(file: StudyFile, robot: Robot | None, problems: Problems) -> Non
     if robot is not None:
         for i, pose in enumerate(file.test_poses or []):
             check_test_pose(pose, robot, f"[[test_poses]] {i + 1} joints_deg", problems)
+        for i, region in enumerate(file.test_regions or []):
+            _check_region(region, robot, f"[[test_regions]] {i + 1}", problems)
         if file.constraints is not None:
             _check_margins(file.constraints, robot, problems)
 
@@ -167,6 +170,28 @@ def check_test_pose(pose: ArmPoseSection, robot: Robot, key: str, problems: Prob
             problems.add(
                 f"{key}, entry {j + 1}", f"outside the limits {low:g} to {high:g} {name} of {robot.joints[j]}", value
             )
+
+
+def _check_region(region: TestRegionSection, robot: Robot, key: str, problems: Problems) -> None:
+    """One value a joint; no end below its beginning; every joint comes inside its limits somewhere."""
+    for name in ("joints_min_deg", "joints_max_deg"):
+        given = getattr(region, name)
+        if len(given) != robot.n:
+            what = f"{robot.n} values expected, one a joint of {robot.name}, {len(given)} given"
+            problems.add(f"{key} {name}", what, given)
+    if problems.found(key):
+        return
+    for j, (first, last) in enumerate(zip(region.joints_min_deg, region.joints_max_deg, strict=True)):
+        unit, name = (MM, "mm") if robot.prismatic[j] else (DEG, "deg")
+        low, high = robot.lower[j] / unit, robot.upper[j] / unit
+        if last < first:
+            problems.add(f"{key} joints_max_deg, entry {j + 1}", f"below joints_min_deg = {first:g}: no pose", last)
+        elif last < low - 1e-6 or first > high + 1e-6:
+            what = f"{robot.joints[j]} goes from {low:g} to {high:g} {name}, the region up to {last:g}: no pose"
+            problems.add(f"{key} joints_min_deg, entry {j + 1}", what, first)
+    for j, (least, most) in enumerate(zip(region.wrench_min, region.wrench_max, strict=True)):
+        if most < least:
+            problems.add(f"{key} wrench_max, entry {j + 1}", f"below wrench_min = {least:g}: no wrench", most)
 
 
 def _check_margins(table: ConstraintsSection, robot: Robot, problems: Problems) -> None:

@@ -19,12 +19,22 @@ from identify.schema import (
     PlanSection,
     PointSection,
     ReduceSection,
+    TestRegionSection,
     TrackerSection,
 )
-from identify.study import Constraints, Noise, PlanSettings, ReduceSettings, TestPose, Tracker
+from identify.study import Constraints, Noise, PlanSettings, ReduceSettings, TestPose, TestRegion, Tracker
 from identify.units import DEG, GPA, MM, UM, URAD
 
-__all__ = ["constraints", "load_cases", "markers", "noise_from", "plan_settings", "reduce_settings", "test_pose"]
+__all__ = [
+    "constraints",
+    "load_cases",
+    "markers",
+    "noise_from",
+    "plan_settings",
+    "reduce_settings",
+    "test_pose",
+    "test_region",
+]
 
 
 def markers(on_flange: PointSection | None, on_base: PointSection | None) -> Markers:
@@ -98,6 +108,22 @@ def test_pose(table: ArmPoseSection, robot: Robot, weight: float) -> TestPose:
         attach=frozen(table.attach_mm) * MM,
         point=frozen(table.attach_mm if table.point_mm is None else table.point_mm) * MM,
         weight=weight,
+    )
+
+
+def test_region(table: TestRegionSection, robot: Robot) -> TestRegion:
+    """A test region in SI."""
+    units = np.where(robot.prismatic, MM, DEG)
+    return TestRegion(
+        lower=np.array(table.joints_min_deg) * units,
+        upper=np.array(table.joints_max_deg) * units,
+        wrench_lower=frozen(table.wrench_min),
+        wrench_upper=frozen(table.wrench_max),
+        in_flange=table.frame == "flange",
+        attach=frozen(table.attach_mm) * MM,
+        point=frozen(table.attach_mm if table.point_mm is None else table.point_mm) * MM,
+        weight=table.weight,
+        points=table.points,
     )
 
 
