@@ -11,7 +11,7 @@ from doe.objective import Objective
 from identify.arrays import Floats
 from identify.errors import NoConvergence
 
-__all__ = ["Bound", "bound_of", "joined"]
+__all__ = ["Bound", "among", "bound_of", "joined", "relaxed"]
 
 _SAME = 1e-9  # blocks that differ by less are those of one pose
 
@@ -57,19 +57,27 @@ def bound_of(
     """
     if not count:
         return Bound(value, value)
-    blocks = joined(pool, own[~_among(pool, own, repeats=repeats)])
-    cap = None if repeats else 1.0 / count
-    share = None if prior is None else prior / count
+    blocks = joined(pool, own[~among(pool, own, repeats=repeats)])
+    return Bound(value, min(relaxed(aim, count, blocks, repeats=repeats, prior=prior).bound / count, value))
+
+
+def relaxed(aim: Objective, count: int, blocks: Floats, *, repeats: bool, prior: Floats | None) -> ApproximateDesign:
+    """The best weights of (N, k, p) candidates for ``count`` experiments; arguments as in `bound_of`."""
     try:
-        relaxed = approximate_design(blocks, aim.target(), criterion=aim.criterion, max_weight=cap, prior=share)
+        return approximate_design(
+            blocks,
+            aim.target(),
+            criterion=aim.criterion,
+            max_weight=None if repeats else 1.0 / count,
+            prior=None if prior is None else prior / count,
+        )
     except NoConvergence as error:  # its bound is proven all the same, only not the tightest
         if not isinstance(error.best, ApproximateDesign):
             raise
-        relaxed = error.best
-    return Bound(value, min(relaxed.bound / count, value))
+        return error.best
 
 
-def _among(pool: Floats, own: Floats, *, repeats: bool) -> np.ndarray:
+def among(pool: Floats, own: Floats, *, repeats: bool) -> np.ndarray:
     """(n,) True for blocks of ``own`` that are candidates already; without repeats a candidate stands for one only."""
     known = np.zeros(len(own), dtype=bool)
     if not len(pool) or own.shape[1:] != pool.shape[1:]:

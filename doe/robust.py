@@ -8,8 +8,8 @@ An exchange takes one visit out and puts in the candidate with the smallest such
 all candidates are scored at once, the worst sets first, and a candidate is dropped as soon as it cannot win any more.
 The search starts from the best plan for the nominal values without losses, and some times from a spoilt one.
 
-For a bound: after any losses a plan has n - r visits, and a mean is not below the mean of the smallest values, so the
-mean over draws of the proven bounds for n - r visits is not above what counts of any plan.
+After any losses a plan has n - r visits, so a bound of the mean for n - r visits (`doe.averaged`) is a bound of what
+counts of any plan.
 """
 
 from __future__ import annotations

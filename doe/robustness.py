@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doe.bounds import Bound, bound_of
+from doe.averaged import averaged_bound
+from doe.bounds import Bound, among, joined, relaxed
 from doe.losses import after_losses, lost_sets
 from doe.pool import Pool
+from doe.problem import Problem, make_problem
 from doe.robust import worst_case
 from identify.arrays import Floats, Ints
 
@@ -48,21 +50,38 @@ def value_that_counts(pool: Pool, q: Floats, visit_loads: Ints, own: Floats) -> 
 
 def robustness(pool: Pool, q: Floats, visit_loads: Ints, own: Floats) -> Robustness | None:
     """The same with what proves it; None for plans that need not be robust. Arguments as in `value_that_counts`."""
-    settings = pool.observer.settings
-    losses, count = settings.losses, len(own)
+    losses, count = pool.observer.settings.losses, len(own)
     if not (losses or pool.draws) or count <= losses:
         return None
     blocks = _blocks(pool, q, visit_loads, own)
     value, place = _worst(pool, blocks)
-    bounds = [
-        bound_of(
-            draw.objective, count - losses, draw.blocks, mine, np.inf, repeats=settings.repeats, prior=draw.prior
-        ).bound
-        for draw, mine in zip(_draws(pool), blocks, strict=True)
-    ]
+    proven = _proven(pool, count - losses, blocks)
     lost = tuple(lost_sets(count, losses)[place].tolist())
     left = after_losses(own, losses, pool.prior)
-    return Robustness(losses, len(pool.draws), Bound(value, min(float(np.mean(bounds)), value)), lost, left)
+    return Robustness(losses, len(pool.draws), Bound(value, min(proven, value)), lost, left)
+
+
+def _proven(pool: Pool, count: int, blocks: list[Floats]) -> float:
+    """No plan of ``count`` visits has a smaller mean over the draws; ``blocks`` (n, k, p) of the plan at each draw."""
+    repeats, draws = pool.observer.settings.repeats, _draws(pool)
+    extra = ~among(draws[0].blocks, blocks[0], repeats=repeats)
+    every = [joined(draw.blocks, mine[extra]) for draw, mine in zip(draws, blocks, strict=True)]
+    found = [
+        relaxed(draw.objective, count, own, repeats=repeats, prior=draw.prior)
+        for draw, own in zip(draws, every, strict=True)
+    ]
+    bound = float(np.mean([each.bound for each in found]))  # of the means of the smallest values
+    if len(draws) > 1:
+        problems = [_problem(draw, own, count, repeats=repeats) for draw, own in zip(draws, every, strict=True)]
+        bound = max(bound, averaged_bound(problems, np.mean([each.weights for each in found], axis=0)))
+    return bound / count
+
+
+def _problem(draw: Pool, blocks: Floats, count: int, *, repeats: bool) -> Problem:
+    """The relaxed problem of one draw on the scale of one visit."""
+    prior = None if draw.prior is None else draw.prior / count
+    aim = draw.objective
+    return make_problem(blocks, aim.target(), aim.criterion, None, prior, None if repeats else 1.0 / count)
 
 
 def _draws(pool: Pool) -> tuple[Pool, ...]:

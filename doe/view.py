@@ -309,9 +309,10 @@ def accuracy_curve(
     known = known[np.isfinite(known) & (known > 0)]
     low, high = 0.8 * float(known.min()), 1.6 * float(known.max())
     axes.fill_between(counts, low, np.where(np.isfinite(bound), bound, low), color=PALE, lw=0, label="impossible")
-    colours = {"designed": AFTER, "random": BEFORE}
-    for (name, values), spare in zip(errors.items(), cycle(_SERIES[2:]), strict=False):
-        axes.plot(counts, values, "o-", color=colours.get(name, spare), ms=3.2, lw=1.5, label=name)
+    colours, others = {"designed": AFTER, "random": BEFORE}, cycle(_SERIES[2:])
+    for name, values in errors.items():
+        colour = colours[name] if name in colours else next(others)
+        axes.plot(counts, values, "o-", color=colour, ms=3.2, lw=1.5, label=name)
     if tolerance is not None:
         axes.axhline(tolerance, color=TRUTH, lw=1.0, ls=(0, (4, 2)), label=f"tolerance {tolerance:g} mm")
     axes.set_yscale("log")

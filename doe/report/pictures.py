@@ -42,13 +42,13 @@ def accuracy_curve(points: list[Entry]) -> Markup:
     every = np.concatenate(list(series.values()))
     top = min(float(np.nanmax(every)), 3.0 * float(np.nanmedian(every)))  # few experiments can be off by any factor
     panel = Panel(52, 8, 400, 180, (0.0, 1.04 * counts[-1]), (0.0, 1.08 * top))
-    parts = [panel.frame(across="number of experiments", along="rms at the test poses, mm")]
+    parts = [panel.frame(across="rms at the test poses, mm, against the number of experiments")]
     for index, (key, values) in enumerate(series.items()):
         word, colour = _KINDS[key]
-        told = np.isfinite(values)
-        if key == "bound_mm":
+        told = values <= top  # false for nan too
+        if key == "bound_mm" and told.any():
             parts.append(panel.band(counts[told], 0 * values[told], values[told], colour))
-        else:
+        elif told.any():
             parts.append(panel.line(counts[told], values[told], colour))
             parts.append(panel.dots(counts[told], values[told], colour, size=4.0, opacity=1.0))
         parts.append(words(446, 24 + 14 * index, word, anchor="end", colour=colour))

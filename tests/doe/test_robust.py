@@ -193,7 +193,7 @@ def test_a_plan_for_draws_is_better_on_average_over_fresh_draws(tmp_path, criter
     assert made.robust.reached.value == pytest.approx(mean_value(made, known), rel=1e-9)
     assert made.robust.reached.value <= mean_value(usual, known)
     fresh = drawn_values(replace(whole, plan=replace(whole.plan, draws=64)), 99)
-    gain = 0.97 if criterion == "test_pose" else 1.0
+    gain = 0.99 if criterion == "test_pose" else 1.0
     assert mean_value(made, fresh) <= gain * mean_value(usual, fresh)
     assert usual.final.value <= made.final.value, "at the nominal values themselves the usual plan is best"
 
