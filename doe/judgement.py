@@ -163,9 +163,10 @@ def _robust_lines(content: dict[str, Any]) -> list[str]:
         return []
     when = [f"after losing {' and '.join(robust['worst_loss'])}, the worst loss"] * bool(robust["losses"])
     when += [f"on average over {robust['draws']} draws of the nominal values"] * bool(robust["draws"])
-    error = "" if robust["rms_mm"] is None else f", {robust['rms_mm']:.4f} mm rms at the test poses"
+    told = robust["losses"] and robust["rms_mm"] is not None
+    error = f" (at the nominal values {robust['rms_mm']:.4f} mm rms at the test poses)" if told else ""
     proof = f"proven: no plan of as many stays below {robust['bound']:.5g}"
-    return [f"{', '.join(when)}: {robust['value']:.5g}{error} ({proof})"]
+    return [f"{', '.join(when)}: {robust['value']:.5g}{error}; {proof}"]
 
 
 def _measured_lines(content: dict[str, Any], count: int) -> list[str]:
