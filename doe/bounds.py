@@ -11,7 +11,7 @@ from doe.objective import Objective
 from identify.arrays import Floats
 from identify.errors import NoConvergence
 
-__all__ = ["Bound", "bound_of", "joined"]
+__all__ = ["Bound", "among", "bound_of", "joined", "relaxed"]
 
 _SAME = 1e-9  # blocks that differ by less are those of one pose
 
@@ -34,29 +34,50 @@ class Bound:
         return min(self.bound / self.value, 1.0) if np.isfinite(self.value) else 0.0
 
 
-def bound_of(aim: Objective, count: int, pool: Floats, own: Floats, value: float, *, repeats: bool) -> Bound:
+def bound_of(
+    aim: Objective,
+    count: int,
+    pool: Floats,
+    own: Floats,
+    value: float,
+    *,
+    repeats: bool,
+    prior: Floats | None = None,
+) -> Bound:
     """Proven lower bound for ``count`` experiments.
 
     Args:
         aim: The criterion.
-        count: Number of experiments.
+        count: Number of experiments; with none the value is the bound.
         pool: (N, k, p) blocks of the candidates.
         own: (n, k', p) blocks of the plan itself, which count as candidates too.
         value: What the plan reaches.
         repeats: One candidate may be measured several times.
+        prior: (p, p) information that is there already, in full.
     """
-    blocks = joined(pool, own[~_among(pool, own, repeats=repeats)])
-    cap = None if repeats else 1.0 / count
+    if not count:
+        return Bound(value, value)
+    blocks = joined(pool, own[~among(pool, own, repeats=repeats)])
+    return Bound(value, min(relaxed(aim, count, blocks, repeats=repeats, prior=prior).bound / count, value))
+
+
+def relaxed(aim: Objective, count: int, blocks: Floats, *, repeats: bool, prior: Floats | None) -> ApproximateDesign:
+    """The best weights of (N, k, p) candidates for ``count`` experiments; arguments as in `bound_of`."""
     try:
-        relaxed = approximate_design(blocks, aim.target(), criterion=aim.criterion, max_weight=cap)
+        return approximate_design(
+            blocks,
+            aim.target(),
+            criterion=aim.criterion,
+            max_weight=None if repeats else 1.0 / count,
+            prior=None if prior is None else prior / count,
+        )
     except NoConvergence as error:  # its bound is proven all the same, only not the tightest
         if not isinstance(error.best, ApproximateDesign):
             raise
-        relaxed = error.best
-    return Bound(value, min(relaxed.bound / count, value))
+        return error.best
 
 
-def _among(pool: Floats, own: Floats, *, repeats: bool) -> np.ndarray:
+def among(pool: Floats, own: Floats, *, repeats: bool) -> np.ndarray:
     """(n,) True for blocks of ``own`` that are candidates already; without repeats a candidate stands for one only."""
     known = np.zeros(len(own), dtype=bool)
     if not len(pool) or own.shape[1:] != pool.shape[1:]:

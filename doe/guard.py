@@ -3,23 +3,75 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from doe.exact import exact_design
-from doe.information import information_of, standard_deviations
+from doe.information import standard_deviations
+from doe.losses import after_losses
+from doe.objective import Objective
 from doe.pool import AnyPool
+from doe.robust import exchanged, worst_case
 from identify.arrays import Floats, Ints
 from identify.errors import Infeasible, NotIdentifiable
 
-__all__ = ["blind_spot", "guarded_search", "search"]
+__all__ = ["Guard", "blind_spot", "guarded_search", "search"]
 
 _GUARD_ROUNDS = 12
 _USUAL_PERCENT = 300.0  # the default of max_std_percent; beyond it a plan says what it does not see
 
 
-def search(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str, *, effort: str = "normal") -> Ints:
-    """Indices of the chosen candidates, repeats included.
+@dataclass(frozen=True, eq=False)
+class Guard:
+    """What keeps a plan from seeing little but the test poses.
+
+    Attributes:
+        best: (p,) standard deviations under the best plan for the parameters; None for criteria that need no guard.
+        share: Of the parameters' own variances that is weighed into the search.
+    """
+
+    best: Floats | None = None
+    share: float = 0.0
+
+    def target(self, aim: Objective) -> Floats:
+        """What is searched for."""
+        if self.best is None or not self.share:
+            return aim.target()
+        return aim.guarded(self.best, self.share)
+
+
+def search(pool: AnyPool, count: int, seed: int, guard: Guard, *, effort: str = "normal") -> Ints:
+    """Indices of the chosen candidates (n,) for the criterion of the study, repeats included.
+
+    Args:
+        pool: What to choose from.
+        count: Number of experiments; with none nothing is chosen.
+        seed: Of the random moves.
+        guard: What is weighed in.
+        effort: As in `doe.exact.exact_design`.
+
+    Raises:
+        NotIdentifiable: So many experiments cannot show what the criterion needs.
+    """
+    if not count:
+        return np.zeros(0, dtype=np.int64)
+    aim, losses = pool.objective, pool.observer.settings.losses
+    chosen = _found(pool, guard.target(aim), count, seed, aim.criterion, effort)
+    if not losses and not pool.draws:
+        return chosen
+    chosen = exchanged(pool, guard.target, chosen, losses, effort, seed)
+    left = after_losses(pool.blocks[chosen], losses, pool.prior)
+    if not np.isfinite(worst_case([aim], [left])[0]):
+        raise NotIdentifiable(
+            f"{pool.observer.path}: [plan] {count} poses are too few for robust_to_losses = {losses}: after the worst "
+            f"loss the rest does not show what criterion {aim.criterion} needs; plan more poses"
+        )
+    return chosen
+
+
+def _found(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str, effort: str) -> Ints:
+    """The best design on the candidates.
 
     Raises:
         NotIdentifiable: So many experiments cannot show what the criterion needs.
@@ -27,7 +79,14 @@ def search(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str,
     asked = pool.observer
     try:
         found = exact_design(
-            pool.blocks, target, count, criterion=criterion, repeats=asked.settings.repeats, effort=effort, seed=seed
+            pool.blocks,
+            target,
+            count,
+            criterion=criterion,
+            repeats=asked.settings.repeats,
+            prior=pool.prior,
+            effort=effort,
+            seed=seed,
         )
     except NotIdentifiable as error:
         columns = [index for index in error.missing if isinstance(index, int)]
@@ -41,38 +100,38 @@ def search(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str,
     return np.repeat(np.arange(len(found.counts)), found.counts)
 
 
-def guarded_search(pool: AnyPool, count: int, seed: int) -> tuple[Ints, Floats | None, tuple[str, ...]]:
+def guarded_search(pool: AnyPool, count: int, seed: int) -> tuple[Ints, Guard, tuple[str, ...]]:
     """Search; where the plan sees little but the test poses, weigh the parameters' own variances in.
 
     Returns:
-        Chosen candidates, the standard deviations under the best plan for the parameters (None for criteria that
-        need no guard), and notes.
+        Chosen candidates, the guard they were found with, and notes.
 
     Raises:
         Infeasible: ``max_std_percent`` cannot be met.
     """
     aim, asked = pool.objective, pool.observer
-    chosen = search(pool, aim.target(), count, seed, aim.criterion)
-    if aim.criterion not in {"test_pose", "G"}:
-        return chosen, None, ()
-    thorough = search(pool, np.eye(aim.size), count, seed, "A")
-    best = standard_deviations(information_of(pool.blocks[thorough]))
+    chosen = search(pool, count, seed, Guard())
+    if aim.criterion not in {"test_pose", "G"} or not count:
+        return chosen, Guard(), ()
+    thorough = _found(pool, np.eye(aim.size), count, seed, "A", "normal")
+    best = standard_deviations(pool.information(pool.blocks[thorough]))
     percent = asked.settings.max_std_percent
     name, ratio = _worst(pool, pool.blocks[chosen], best)
     if ratio <= percent / 100.0:
-        return chosen, best, ()
-    unguarded = aim.value(information_of(pool.blocks[chosen]))
+        return chosen, Guard(best), ()
+    unguarded = aim.value(pool.information(pool.blocks[chosen]))
     share = 1e-4 * max(unguarded if np.isfinite(unguarded) else 1.0, 1e-300) / aim.size
     for _ in range(_GUARD_ROUNDS):
-        chosen = search(pool, aim.guarded(best, share), count, seed, aim.criterion, effort="low")
+        guard = Guard(best, share)
+        chosen = search(pool, count, seed, guard, effort="low")
         if _worst(pool, pool.blocks[chosen], best)[1] <= percent / 100.0:
-            value = aim.value(information_of(pool.blocks[chosen]))
+            value = aim.value(pool.information(pool.blocks[chosen]))
             cost = f"costs {100 * (value / unguarded - 1):.2g} %" if np.isfinite(unguarded) else "keeps it identifiable"
             note = (
                 f"the best plan for the test poses alone would tell {name} {_times(ratio)}; "
                 f"max_std_percent = {percent:g} {cost}"
             )
-            return chosen, best, (note,)
+            return chosen, guard, (note,)
         share *= 8.0
     raise Infeasible(
         f"{asked.path}: [plan] max_std_percent = {percent:g} cannot be met with {count} poses: the best plan for the "
@@ -94,7 +153,7 @@ def blind_spot(pool: AnyPool, own: Floats, best: Floats) -> tuple[str, ...]:
 
 def _worst(pool: AnyPool, own: Floats, best: Floats) -> tuple[str, float]:
     """The parameter that a plan (n, k, p) tells worst relative to ``best`` (p,), and how much worse."""
-    ratio = standard_deviations(information_of(own)) / best
+    ratio = standard_deviations(pool.information(own)) / best
     worst = int(np.argmax(ratio))
     return pool.observer.names[pool.known.kept[worst]], float(ratio[worst])
 

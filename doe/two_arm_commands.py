@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from doe.accuracy import Accuracy
+from doe.curve import Judge, accuracy_curve, fewest_shown, sizes
+from doe.earlier_files import NO_FILES, EarlierFiles
 from doe.information import standard_deviations
 from doe.judgement import (
     bound_json,
@@ -14,12 +17,16 @@ from doe.judgement import (
     confusability_lines,
     counts,
     criteria,
+    curve_json,
+    curve_lines,
     errors_at_test_poses,
     judgement,
     judgement_lines,
     weakest,
 )
-from doe.two_arm_plan import TwoArmPlan, evaluate_both, plan_for_both, relative_accuracy
+from doe.objective import Objective
+from doe.two_arm_plan import TwoArmEvaluation, TwoArmPlan, evaluate_both, plan_for_both, relative_accuracy
+from identify.arrays import Floats
 from identify.commands import Outcome
 from identify.errors import InputError
 from identify.experiment import full_experiment
@@ -32,8 +39,17 @@ __all__ = ["run_evaluate_both", "run_plan_for_both"]
 _APART = "poses are checked for each arm alone: keep the arm that is not measured out of the way, unloaded and still"
 
 
-def run_plan_for_both(study_file: Path, *, seed: int) -> Outcome:
-    """Pick poses and loads of both arms for a study of two arms."""
+def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_FILES) -> Outcome:
+    """Pick poses and loads of both arms for a study of two arms.
+
+    Raises:
+        InputError: The file is wrong, or something that was measured before is named.
+    """
+    if before != NO_FILES:
+        raise InputError(
+            f"{study_file}: --measured, --result, --earlier and --unreachable belong to a study of one arm; this one "
+            "has [[arms]]. Plan for the study of the arm that is measured, which stands under [[arms]] study"
+        )
     study = load_two_arm_study(study_file)
     made = plan_for_both(study, seed=seed)
     pool, arms = made.pool, made.choice.arms
@@ -49,6 +65,7 @@ def run_plan_for_both(study_file: Path, *, seed: int) -> Outcome:
         "joint_only": None,
         "std": standard_deviations(made.information),
         **counts(*pool.candidates),
+        "curve": _curve_of_plan(study, made, seed),
         "time_s": None,
         "notes": [*made.choice.notes, _APART],
     }
@@ -83,6 +100,7 @@ def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:
         "weakest": weakest(judged.observer, judged.known, aim, judged.covariance),
         "std": standard_deviations(judged.information),
         **counts(*judged.candidates),
+        "curve": _curve_of_poses(study, judged, seed),
         "confusability": _by_arm(study, confused),
         "time_s": None,
         "notes": [],
@@ -124,7 +142,41 @@ def _plan_files(study: TwoArmStudy, folder: Path) -> tuple[Path, ...]:
 def _lines(content: dict[str, Any]) -> tuple[str, ...]:
     """The summary, with the visits of each arm in front."""
     shares = ", ".join(f"{number} of {name}" for name, number in content["arms"].items())
-    return (f"experiments by arm: {shares}", *judgement_lines(content, content["poses"]))
+    lines = judgement_lines(content, content["poses"])
+    return (f"experiments by arm: {shares}", *lines, *curve_lines(content["curve"]))
+
+
+def _curve_of_plan(study: TwoArmStudy, made: TwoArmPlan, seed: int) -> list[dict[str, Any]]:
+    """The curve around the size of a plan; empty without tasks or where the study does not want it."""
+    aim, count = made.pool.objective, len(made.choice.grid)
+    if aim.rows is None or not study.plan.curve:
+        return []
+    counts = sizes(2 * count, first=fewest_shown(made.pool), also=count)
+    guard = made.choice.guard
+    return curve_json(
+        accuracy_curve(aim, study.plan, _judge(study, aim), counts, seed, pool=made.pool, guard=guard), given=False
+    )
+
+
+def _curve_of_poses(study: TwoArmStudy, judged: TwoArmEvaluation, seed: int) -> list[dict[str, Any]]:
+    """Random and designed plans of at most as many visits; the visits of two files have no common order."""
+    aim, count = judged.objective, sum(judged.visits)
+    if aim.rows is None or not study.plan.curve:
+        return []
+    return curve_json(
+        accuracy_curve(aim, study.plan, _judge(study, aim), sizes(count), seed, pool=judged.pool), given=False
+    )
+
+
+def _judge(study: TwoArmStudy, aim: Objective) -> Judge:
+    """``(p, p) covariance -> accuracy`` at the tasks, which the objective has."""
+
+    def judge(covariance: Floats) -> Accuracy:
+        found = relative_accuracy(study, aim, covariance)
+        assert found is not None, "an objective without tasks"
+        return found
+
+    return judge
 
 
 def _refinement(made: TwoArmPlan) -> dict[str, Any] | None:

@@ -64,6 +64,7 @@ class TwoArmEvaluation:
         information: (p, p) of them.
         visits: Number of visits of each arm.
         candidates: What it was compared with; None for an arm where nothing keeps to the constraints.
+        pool: Blocks of both arms' candidates, where both have some.
         bound: Value and proven bound.
     """
 
@@ -73,6 +74,7 @@ class TwoArmEvaluation:
     information: Floats
     visits: tuple[int, int]
     candidates: tuple[Candidates | None, Candidates | None]
+    pool: TwoArmPool | None
     bound: Bound
 
     @property
@@ -134,8 +136,10 @@ def evaluate_both(study: TwoArmStudy, experiments: Sequence[Experiment], *, seed
             blocks = watching.blocks(side, found.visit_q, found.visit_loads)
             pool = joined(pool, keep_columns(blocks, known.kept))
     bound = bound_of(aim, len(own), pool, own, aim.value(information), repeats=study.plan.repeats)
-    visits = (len(parts[0]), len(parts[1]))
-    return TwoArmEvaluation(watching, known, aim, information, visits, chosen, bound)
+    visits, (first, second), among = (len(parts[0]), len(parts[1])), chosen, None
+    if first is not None and second is not None:
+        among = TwoArmPool(watching, (first, second), known, pool, aim)
+    return TwoArmEvaluation(watching, known, aim, information, visits, chosen, among, bound)
 
 
 def relative_accuracy(study: TwoArmStudy, aim: Objective, covariance: Floats) -> Accuracy | None:

@@ -9,6 +9,7 @@ import numpy as np
 from doe.bounds import joined
 from doe.candidates import Candidates, candidates
 from doe.design_choices import open_choices
+from doe.information import information_of
 from doe.objective import Objective, objective
 from doe.observations import identifiable, keep_columns
 from doe.two_arms import TwoArmObserver, two_arm_observer
@@ -37,6 +38,19 @@ class TwoArmPool:
     known: Identifiability
     blocks: Floats
     objective: Objective
+
+    @property
+    def prior(self) -> None:
+        """Nothing is known before."""
+
+    @property
+    def draws(self) -> tuple[()]:
+        """Plans for two arms are made at the nominal values."""
+        return ()
+
+    def information(self, blocks: Floats) -> Floats:
+        """(p, p) of blocks (n, k, p)."""
+        return information_of(blocks)
 
     def of_arm(self, chosen: Ints, side: int) -> Ints:
         """Indices into the candidates of one arm, for those of the (n,) chosen candidates that are its own."""

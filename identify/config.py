@@ -44,6 +44,7 @@ from identify.study_records import (
     standing,
     stations,
     test_pose,
+    test_region,
 )
 from identify.units import DEG, MM
 
@@ -52,6 +53,7 @@ __all__ = ["load_study", "split_options"]
 _POINTS = ("markers", "fixed_markers", "marker_choices", "marker_normals")  # tables of id -> three numbers
 
 _T = TypeVar("_T", bound=Section)
+_NUMBERS = {"nominal", "nominal_std_percent", "values"}  # tables of numbers by parameter name
 
 
 def load_study(path: str | Path) -> Study:
@@ -146,7 +148,7 @@ def split_options(
     if not isinstance(table, Mapping):
         return table, MappingProxyType({})
     keys = list(schema.model_fields)
-    own = {key: _flat(value) if key in {"nominal", "values"} else value for key, value in table.items() if key in keys}
+    own = {key: _flat(value) if key in _NUMBERS else value for key, value in table.items() if key in keys}
     options: dict[str, Mapping[str, Any]] = {}
     for key, value in table.items():
         if key in keys:
@@ -217,8 +219,10 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study
         equilibrium=model.equilibrium,
         rows=model.rows,
         nominal=MappingProxyType(dict(model.nominal)),
+        nominal_std_percent=MappingProxyType(dict(model.nominal_std_percent)),
         options=file.options,
         test_poses=tuple(test_pose(pose, robot, pose.weight) for pose in file.test_poses or []),
+        test_regions=tuple(test_region(region, robot) for region in file.test_regions or []),
         plan=plan,
         constraints=constraints(file.constraints or ConstraintsSection(), robot.prismatic),
         reduce=reduce_settings(file.reduce or ReduceSection()),

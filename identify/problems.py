@@ -115,7 +115,9 @@ class Problems:
     def _note(self, schema: type[BaseModel], problem: ErrorDetails, heading: str) -> None:
         """Note what pydantic found."""
         kind, value, context = problem["type"], problem["input"], problem.get("ctx", {})
-        place = [part for part in problem["loc"] if part not in {"points", "[key]"}]
+        place = [part for part in problem["loc"] if part != "[key]"]
+        if set(schema.model_fields) == {"points"} and place[:1] == ["points"]:  # the whole table is a map of points
+            place = place[1:]
         if kind == "extra_forbidden":
             what = unknown("key", str(place[-1]), _keys(schema, place[:-1]))
         elif kind == "literal_error":

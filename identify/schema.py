@@ -24,6 +24,7 @@ __all__ = [
     "RobotSection",
     "Section",
     "TestPoseSection",
+    "TestRegionSection",
     "ToolSection",
     "TrackerSection",
     "TruthSection",
@@ -128,6 +129,7 @@ class ModelSection(Section):
     equilibrium: Literal["linear", "loaded"] = "linear"
     rows: Literal["vectors", "dual_quaternions", "dual_quaternion_deviations"] = "vectors"
     nominal: dict[str, Number] = {}
+    nominal_std_percent: dict[str, Positive] = {}
 
 
 class ModelChoiceSection(Section):
@@ -155,6 +157,22 @@ class TestPoseSection(ArmPoseSection):
     weight: Positive = 1.0
 
 
+class TestRegionSection(Section):
+    """One of ``[[test_regions]]``."""
+
+    __test__ = False
+
+    joints_min_deg: list[Number]
+    joints_max_deg: list[Number]
+    wrench_min: Wrench = [0.0] * 6
+    wrench_max: Wrench = [0.0] * 6
+    frame: Axes = "world"
+    attach_mm: Vector = [0.0, 0.0, 0.0]
+    point_mm: Vector | None = None
+    weight: Positive = 1.0
+    points: Annotated[Count, Field(le=4096)] = 64
+
+
 class TwoArmPlanSection(Section):
     """``[plan]`` of two arms: what is common to them."""
 
@@ -166,6 +184,7 @@ class TwoArmPlanSection(Section):
     refine: Switch = True
     repeats: Switch = True
     max_std_percent: Positive = 300.0
+    curve: Switch = True
 
 
 class PlanSection(TwoArmPlanSection):
@@ -176,6 +195,8 @@ class PlanSection(TwoArmPlanSection):
     reference_rows: Switch = True
     stations: Annotated[list[Id], Field(min_length=1)] | None = None
     markers: Count | None = None
+    robust_to_losses: Annotated[int, Field(strict=True, ge=0, le=2)] = 0
+    draws: Annotated[int, Field(strict=True, ge=0, le=64)] = 0
 
 
 class ArmSection(Section):

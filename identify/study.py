@@ -17,7 +17,17 @@ from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 from identify.units import DEG, MM
 
-__all__ = ["Constraints", "ModelChoice", "Noise", "PlanSettings", "ReduceSettings", "Study", "TestPose", "Tracker"]
+__all__ = [
+    "Constraints",
+    "ModelChoice",
+    "Noise",
+    "PlanSettings",
+    "ReduceSettings",
+    "Study",
+    "TestPose",
+    "TestRegion",
+    "Tracker",
+]
 
 Criterion = Literal["test_pose", "A", "D", "E", "G"]
 Reference = Literal["absolute", "differences", "auto"]
@@ -92,6 +102,40 @@ class TestPose:
 
 
 @dataclass(frozen=True, eq=False)
+class TestRegion:
+    """A box of poses and wrenches where accuracy after compensation counts.
+
+    Attributes:
+        lower: (n,) smallest joint values, rad or m.
+        upper: (n,) largest joint values, rad or m.
+        wrench_lower: (6,) smallest process wrench at ``attach``, N and Nm.
+        wrench_upper: (6,) largest process wrench, N and Nm.
+        in_flange: True if the wrench is given in the flange frame, else world.
+        attach: (3,) flange frame, m.
+        point: (3,) the point whose error counts, flange frame, m.
+        weight: Weight of the whole region in the mean square.
+        points: Number of test poses that stand for it.
+    """
+
+    lower: Floats
+    upper: Floats
+    wrench_lower: Floats
+    wrench_upper: Floats
+    in_flange: bool
+    attach: Floats
+    point: Floats
+    weight: float = 1.0
+    points: int = 64
+
+    __test__ = False  # not a test class, whatever pytest thinks of the name
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for key in ("lower", "upper", "wrench_lower", "wrench_upper", "attach", "point"):
+            object.__setattr__(self, key, frozen(getattr(self, key)))
+
+
+@dataclass(frozen=True, eq=False)
 class PlanSettings:
     """What the plan is asked for (section ``[plan]``).
 
@@ -109,6 +153,9 @@ class PlanSettings:
         max_std_percent: No parameter's std may exceed this percentage of its std under the best A plan.
         stations: Names of the tracker stations to choose from; empty where there is no choice.
         markers: How many of the markers to choose from are mounted; None where there is no choice.
+        curve: Also tell the accuracy against the number of experiments.
+        losses: Visits that may be lost: the plan is the best after losing any so many.
+        draws: Draws of uncertain nominal values on which the plan is good on average; 0: at the nominal ones.
     """
 
     poses: int | None = 15
@@ -124,6 +171,9 @@ class PlanSettings:
     max_std_percent: float = 300.0
     stations: tuple[str, ...] = ()
     markers: int | None = None
+    curve: bool = True
+    losses: int = 0
+    draws: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,8 +271,10 @@ class Study:
         equilibrium: Torques on the undeflected arm (linear) or on the deflected one (loaded).
         rows: How the rows of a fit are built: vectors, or by dual quaternions (`identify.dual_rows`).
         nominal: Starting values by parameter name, in the units of the results.
+        nominal_std_percent: How uncertain these are, by name of a parameter or of an effect.
         options: Options of effects, by effect name.
         test_poses: Where accuracy counts.
+        test_regions: Boxes of poses and wrenches where it counts too.
         plan: What the plan is asked for.
         constraints: What poses must keep to.
         reduce: How the model is reduced.
@@ -244,8 +296,10 @@ class Study:
     equilibrium: Equilibrium = "linear"
     rows: RowAlgebra = "vectors"
     nominal: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    nominal_std_percent: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: MappingProxyType({}))
     test_poses: tuple[TestPose, ...] = ()
+    test_regions: tuple[TestRegion, ...] = ()
     plan: PlanSettings = field(default_factory=PlanSettings)
     constraints: Constraints = field(default_factory=Constraints)
     reduce: ReduceSettings = field(default_factory=ReduceSettings)

@@ -17,6 +17,7 @@ from identify.schema import (
     NoiseSection,
     PlanSection,
     ReduceSection,
+    TestRegionSection,
 )
 from identify.study_file import StudyFile
 from identify.study_records import load_cases
@@ -46,6 +47,8 @@ def check_study(file: StudyFile, robot: Robot | None, problems: Problems) -> Non
     if robot is not None:
         for i, pose in enumerate(file.test_poses or []):
             check_test_pose(pose, robot, f"[[test_poses]] {i + 1} joints_deg", problems)
+        for i, region in enumerate(file.test_regions or []):
+            _check_region(region, robot, f"[[test_regions]] {i + 1}", problems)
         if file.constraints is not None:
             _check_margins(file.constraints, robot, problems)
     check_cell(file, robot, problems)
@@ -126,6 +129,11 @@ def check_plan(plan: PlanSection, loads: list[LoadSection] | None, problems: Pro
     """Poses or a tolerance; loads that exist and load the robot."""
     if plan.poses is not None and plan.tolerance_mm is not None:
         problems.add("[plan] poses", "give poses or tolerance_mm, not both", plan.poses)
+    for key in ("robust_to_losses", "draws"):
+        if getattr(plan, key) and plan.criterion == "E":
+            problems.add(f"[plan] {key}", "is not for criterion E; choose test_pose, A, D or G", getattr(plan, key))
+    if plan.poses is not None and plan.robust_to_losses >= plan.poses:
+        problems.add("[plan] robust_to_losses", f"must be below poses = {plan.poses}", plan.robust_to_losses)
     if loads is None or plan.loads is None:
         return
     known = {case.name: case for case in load_cases(loads)}
@@ -169,6 +177,28 @@ def check_test_pose(pose: ArmPoseSection, robot: Robot, key: str, problems: Prob
             problems.add(
                 f"{key}, entry {j + 1}", f"outside the limits {low:g} to {high:g} {name} of {robot.joints[j]}", value
             )
+
+
+def _check_region(region: TestRegionSection, robot: Robot, key: str, problems: Problems) -> None:
+    """One value a joint; no end below its beginning; every joint comes inside its limits somewhere."""
+    for name in ("joints_min_deg", "joints_max_deg"):
+        given = getattr(region, name)
+        if len(given) != robot.n:
+            what = f"{robot.n} values expected, one a joint of {robot.name}, {len(given)} given"
+            problems.add(f"{key} {name}", what, given)
+    if problems.found(key):
+        return
+    for j, (first, last) in enumerate(zip(region.joints_min_deg, region.joints_max_deg, strict=True)):
+        unit, name = (MM, "mm") if robot.prismatic[j] else (DEG, "deg")
+        low, high = robot.lower[j] / unit, robot.upper[j] / unit
+        if last < first:
+            problems.add(f"{key} joints_max_deg, entry {j + 1}", f"below joints_min_deg = {first:g}: no pose", last)
+        elif last < low - 1e-6 or first > high + 1e-6:
+            what = f"{robot.joints[j]} goes from {low:g} to {high:g} {name}, the region up to {last:g}: no pose"
+            problems.add(f"{key} joints_min_deg, entry {j + 1}", what, first)
+    for j, (least, most) in enumerate(zip(region.wrench_min, region.wrench_max, strict=True)):
+        if most < least:
+            problems.add(f"{key} wrench_max, entry {j + 1}", f"below wrench_min = {least:g}: no wrench", most)
 
 
 def _check_margins(table: ConstraintsSection, robot: Robot, problems: Problems) -> None:

@@ -19,6 +19,7 @@ from identify.schema import (
     RobotSection,
     Section,
     TestPoseSection,
+    TestRegionSection,
     ToolSection,
 )
 
@@ -38,6 +39,7 @@ STUDY_SECTIONS: dict[str, tuple[type[Section], bool]] = {
     "frames": (FramesSection, False),
     "model": (ModelSection, False),
     "test_poses": (TestPoseSection, True),
+    "test_regions": (TestRegionSection, True),
     "plan": (PlanSection, False),
     "constraints": (ConstraintsSection, False),
     "reduce": (ReduceSection, False),
@@ -60,6 +62,7 @@ class StudyFile:
     frames: FramesSection | None
     model: ModelSection | None
     test_poses: list[TestPoseSection] | None
+    test_regions: list[TestRegionSection] | None
     plan: PlanSection | None
     constraints: ConstraintsSection | None
     reduce: ReduceSection | None

@@ -27,9 +27,10 @@ from identify.schema import (
     PlanSection,
     PointSection,
     ReduceSection,
+    TestRegionSection,
     TrackerSection,
 )
-from identify.study import Constraints, Noise, PlanSettings, ReduceSettings, TestPose, Tracker
+from identify.study import Constraints, Noise, PlanSettings, ReduceSettings, TestPose, TestRegion, Tracker
 from identify.transforms import roll_pitch_yaw
 from identify.units import DEG, GPA, MM, UM, URAD
 
@@ -43,6 +44,7 @@ __all__ = [
     "standing",
     "stations",
     "test_pose",
+    "test_region",
 ]
 
 
@@ -144,6 +146,22 @@ def test_pose(table: ArmPoseSection, robot: Robot, weight: float) -> TestPose:
     )
 
 
+def test_region(table: TestRegionSection, robot: Robot) -> TestRegion:
+    """A test region in SI."""
+    units = np.where(robot.prismatic, MM, DEG)
+    return TestRegion(
+        lower=np.array(table.joints_min_deg) * units,
+        upper=np.array(table.joints_max_deg) * units,
+        wrench_lower=frozen(table.wrench_min),
+        wrench_upper=frozen(table.wrench_max),
+        in_flange=table.frame == "flange",
+        attach=frozen(table.attach_mm) * MM,
+        point=frozen(table.attach_mm if table.point_mm is None else table.point_mm) * MM,
+        weight=table.weight,
+        points=table.points,
+    )
+
+
 def plan_settings(table: PlanSection, loads: Sequence[LoadCase], possible: Sequence[Station] = ()) -> PlanSettings:
     """What the plan is asked for, in SI; it chooses among all possible stations unless it names some."""
     poses = 15 if table.poses is None and table.tolerance_mm is None else table.poses
@@ -162,6 +180,9 @@ def plan_settings(table: PlanSection, loads: Sequence[LoadCase], possible: Seque
         max_std_percent=table.max_std_percent,
         stations=tuple([station.name for station in possible] if table.stations is None else table.stations),
         markers=table.markers,
+        curve=table.curve,
+        losses=table.robust_to_losses,
+        draws=table.draws,
     )
 
 
