@@ -22,7 +22,7 @@ from identify.errors import Infeasible, InputError
 from identify.model import effects_of
 from identify.study import Study
 
-__all__ = ["Candidates", "candidates", "load_choices", "rounded", "sampled_range"]
+__all__ = ["Candidates", "candidates", "load_choices", "rounded", "sampled_range", "stops_of"]
 
 _log = logging.getLogger("elastocal")
 
@@ -204,7 +204,7 @@ def _search(tests: Screen, choices: Ints, ends: tuple[Floats, Floats], poses: in
     parts: list[tuple[Floats, Ints, Ints]] = []
     rejected: Counter[str] = Counter()
     drawn, stood, room, enough = 0, 0, max(study.plan.candidates, 1), False
-    stops = _stops(study)
+    stops = stops_of(study)
     while not enough and drawn < _most(poses):
         share = sequence.random(batch)
         q = lower + (upper - lower) * share
@@ -223,8 +223,8 @@ def _search(tests: Screen, choices: Ints, ends: tuple[Floats, Floats], poses: in
     return Candidates(kept_q, pose, choices[choice], drawn * len(choices), rejected, tests.capsules.always)
 
 
-def _stops(study: Study) -> dict[int, Floats]:
-    """Joints that stop at certain values only, because an effect of the study is defined there alone."""
+def stops_of(study: Study) -> dict[int, Floats]:
+    """Joints that stop at certain values (rad or m) only, because an effect of the study is defined there alone."""
     return {joint: values for effect in effects_of(study, study.effects) for joint, values in effect.stops.items()}
 
 

@@ -1,26 +1,18 @@
-"""A number of experiments: searched on the grid, refined off it."""
+"""A number of experiments: searched on the grid, then off it."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
-from doe.candidates import rounded
-from doe.feasible import check, joint_range
 from doe.guard import blind_spot, guarded_search
-from doe.information import information_of, standard_deviations
-from doe.objective import Objective
-from doe.observations import Observer
+from doe.off_grid import OffGrid, Visits, search_off_grid
 from doe.pool import Pool
-from doe.refine import Others, Refinement, refine
+from doe.reach import Reach
+from doe.refine import Refinement
 from identify.arrays import Floats, Ints
 
-__all__ = ["Choice", "choose", "off_grid"]
-
-_HARDLY = 1e-3  # loss of the criterion that a plan with fewer different poses is worth
+__all__ = ["Choice", "choose"]
 
 log = logging.getLogger("elastocal")
 
@@ -46,105 +38,30 @@ class Choice:
     notes: tuple[str, ...]
 
 
-def choose(pool: Pool, count: int, seed: int) -> Choice:
-    """Search ``count`` experiments on the grid and refine them."""
+def choose(pool: Pool, count: int, seed: int, reach: Reach | None = None) -> Choice:
+    """Search ``count`` experiments on the grid, then off it.
+
+    Args:
+        pool: The candidates.
+        count: Number of experiments.
+        seed: Of the search.
+        reach: All poses, with the columns to search off the grid; None to stay on it.
+
+    Raises:
+        Infeasible: ``max_std_percent`` cannot be met.
+        NotIdentifiable: So many experiments cannot show what the criterion needs.
+    """
     study, aim = pool.observer.study, pool.objective
     log.info("%d candidates, %d parameters; searching %d experiments", len(pool.blocks), aim.size, count)
     chosen, best, notes = guarded_search(pool, count, seed)
     most = None if best is None else study.plan.max_std_percent / 100.0 * best
-    q, loads = pool.candidates.visit_q[chosen], pool.candidates.visit_loads[chosen]
-    grid = own = pool.blocks[chosen]
-    refinement = None
-    if study.plan.refine:
-        log.info("refining the joint angles of %d experiments", count)
-        refined, moved, refinement = off_grid(pool.observer, pool.known.kept, aim, chosen, q, loads, most)
-        if aim.value(information_of(moved)) < aim.value(information_of(grid)):
-            q, own = refined, moved
+    start = Visits(pool.candidates.visit_q[chosen], pool.candidates.visit_loads[chosen], pool.blocks[chosen])
+    found, refinement = start, None
+    if reach is not None:
+        log.info("searching %d experiments off the grid", count)
+        found, refinement = search_off_grid(OffGrid(pool, reach, count, seed, best, most), chosen, start)
     if refinement is not None and refinement.reason:
         notes = (*notes, f"not refined: {refinement.reason}")
     if best is not None:
-        notes = (*notes, *blind_spot(pool, own, best))
-    return Choice(q, loads, grid, own, refinement, notes)
-
-
-def off_grid(
-    observer: Observer,
-    kept: Ints,
-    aim: Objective,
-    chosen: Ints,
-    q: Floats,
-    loads: Ints,
-    most: Floats | None,
-    others: Others | None = None,
-) -> tuple[Floats, Floats, Refinement]:
-    """Move the visits of one arm off the grid.
-
-    Args:
-        observer: What turns poses of this arm into blocks.
-        kept: Kept columns of its model.
-        aim: The criterion on all p kept parameters of the plan.
-        chosen: (n,) candidate of each visit; repeats of one may end at one pose.
-        q: (n, dof) joint values, rad or m.
-        loads: (n, L) loads.
-        most: (p,) standard deviations that must not be exceeded, or None.
-        others: What else belongs to the plan.
-
-    Returns:
-        Joint values (n, dof) as a plan file holds them, the blocks (n, k, p) and what was done. They may be no better.
-    """
-
-    def blocks(values: Floats) -> Floats:
-        own = observer.blocks(values, loads)[:, :, kept]
-        return own if others is None else others.spread(own)
-
-    def information(values: Floats) -> Floats:
-        own = information_of(blocks(values))
-        return own if others is None else own + others.rows.T @ others.rows
-
-    for limit in (None, most):  # most plans keep the limit without being told
-        refinement = _refine(observer, kept, aim, q, loads, limit, others)
-        refined = rounded(observer.study, refinement.q)
-        refined = _together(lambda values: aim.value(information(values)), chosen, refined)
-        if most is None or (standard_deviations(information(refined)) <= most * (1.0 + 1e-6)).all():
-            break
-    return refined, blocks(refined), refinement
-
-
-def _refine(
-    observer: Observer,
-    kept: Ints,
-    aim: Objective,
-    q: Floats,
-    loads: Ints,
-    limits: Floats | None,
-    others: Others | None,
-) -> Refinement:
-    """Move the joint angles within limits, floor and the parameters' limits; self-collision is checked on arrival."""
-    study = observer.study
-    lower, upper = joint_range(study)
-    return refine(
-        observer,
-        q,
-        loads,
-        kept,
-        aim.target(),
-        criterion=aim.criterion,
-        lower=lower,
-        upper=upper,
-        floor=study.constraints.floor,
-        max_std=limits,
-        allowed=lambda moved: check(study, rounded(study, moved), loads).ok,
-        others=others,
-    )
-
-
-def _together(value: Callable[[Floats], float], chosen: Ints, q: Floats) -> Floats:
-    """Joint values in which repeats of one candidate that hardly parted stand at one pose again."""
-    reached = value(q)
-    for candidate in np.unique(chosen):
-        visits = np.flatnonzero(chosen == candidate)
-        tidy = q.copy()
-        tidy[visits] = q[visits[0]]
-        if len(visits) > 1 and value(tidy) <= reached * (1.0 + _HARDLY):
-            q = tidy
-    return q
+        notes = (*notes, *blind_spot(pool, found.blocks, best))
+    return Choice(found.q, found.loads, start.blocks, found.blocks, refinement, notes)

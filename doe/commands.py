@@ -43,6 +43,8 @@ def run_plan(study_file: Path, *, seed: int) -> Outcome:
     content = {
         **judgement(made.pool.observer, made.pool.known, made.pool.objective, made.final, reached),
         "grid": bound_json(made.grid),
+        "efficiencies": dict(made.compared.by_criterion),
+        "efficiencies_candidates": made.compared.candidates,
         "poses": len(made.q),
         "different_poses": len(np.unique(made.q, axis=0)),
         "refinement": _refinement(made),

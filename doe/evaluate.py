@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 
-from doe.bounds import Bound, bound_of
+from doe.bounds import NODES, Bound, bound_of
 from doe.candidates import Candidates, candidates
 from doe.information import covariance_of
 from doe.objective import Objective, objective
@@ -76,7 +76,7 @@ def evaluate(study: Study, experiment: Experiment, *, seed: int = 0) -> Evaluati
     pool = own[:0]
     if chosen is not None:
         pool = keep_columns(watching.blocks(chosen.q[chosen.pose], chosen.visit_loads), known.kept)
-    bound = bound_of(aim, len(own), pool, own, aim.value(information), repeats=study.plan.repeats)
+    bound = bound_of(aim, pool, own, aim.value(information), repeats=study.plan.repeats, nodes=NODES)
     return Evaluation(watching, experiment, known, aim, information, len(own), chosen, bound)
 
 

@@ -41,8 +41,16 @@ def search(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str,
     return np.repeat(np.arange(len(found.counts)), found.counts)
 
 
-def guarded_search(pool: AnyPool, count: int, seed: int) -> tuple[Ints, Floats | None, tuple[str, ...]]:
+def guarded_search(
+    pool: AnyPool, count: int, seed: int, best: Floats | None = None
+) -> tuple[Ints, Floats | None, tuple[str, ...]]:
     """Search; where the plan sees little but the test poses, weigh the parameters' own variances in.
+
+    Args:
+        pool: The candidates.
+        count: Number of experiments.
+        seed: Of the search.
+        best: (p,) standard deviations that count as the best; None to search for them.
 
     Returns:
         Chosen candidates, the standard deviations under the best plan for the parameters (None for criteria that
@@ -55,8 +63,9 @@ def guarded_search(pool: AnyPool, count: int, seed: int) -> tuple[Ints, Floats |
     chosen = search(pool, aim.target(), count, seed, aim.criterion)
     if aim.criterion not in {"test_pose", "G"}:
         return chosen, None, ()
-    thorough = search(pool, np.eye(aim.size), count, seed, "A")
-    best = standard_deviations(information_of(pool.blocks[thorough]))
+    if best is None:
+        thorough = search(pool, np.eye(aim.size), count, seed, "A")
+        best = standard_deviations(information_of(pool.blocks[thorough]))
     percent = asked.settings.max_std_percent
     name, ratio = _worst(pool, pool.blocks[chosen], best)
     if ratio <= percent / 100.0:

@@ -10,6 +10,7 @@ import numpy as np
 from doe.accuracy import Accuracy
 from doe.bounds import Bound
 from doe.candidates import Candidates
+from doe.closing import BRANCHED
 from doe.confusability import SHOWN, confusability
 from doe.objective import Objective
 from doe.subject import Subject
@@ -55,7 +56,8 @@ def judgement(
         },
         "bound": bound.bound,
         "efficiency": bound.efficiency,
-        "efficiency_continuous": None,
+        "bound_source": bound.source,
+        "efficiency_continuous": bound.continuous,
         "reference": observer.reference,
         "rank": known.rank,
         "parameters": [names[index] for index in known.kept],
@@ -120,6 +122,12 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
         f"proven: no {count} of these poses and the {content['candidates']} candidates reach less than "
         f"{content['bound']:.5g}, so the efficiency is at least {100 * content['efficiency']:.2f} %"
     )
+    if content["bound_source"] == BRANCHED:
+        lines.append(f"proven optimal on these by branch and bound within {_percent(1 - content['efficiency'])}")
+    if content["efficiency_continuous"] is not None:
+        lines.append(
+            f"estimated over all joint angles, not proven: {100 * content['efficiency_continuous']:.2f} % efficient"
+        )
     if content["grid"] is not None:
         lines.append(
             f"before refinement: {content['grid']['value']:.5g}, on the candidates alone at least "
@@ -141,6 +149,11 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
     if rejected:
         lines.append(f"poses rejected: {rejected}")
     return (*lines, *(f"note: {note}" for note in content["notes"]))
+
+
+def _percent(share: float) -> str:
+    """A small share in percent, never less than what a bound is closed to."""
+    return f"{max(100 * share, 1e-4):.2g} %"
 
 
 def criteria(aim: Objective, information: Floats) -> dict[str, float | None]:

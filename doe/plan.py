@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from doe.bounds import Bound, bound_of
+from doe.bounds import NODES, Bound, Efficiencies, bound_of, efficiencies
 from doe.choice import choose
 from doe.information import covariance_of, information_of
 from doe.pool import Pool, build_pool
+from doe.reach import reach_of
 from doe.refine import Refinement
 from doe.tolerance import sufficient
 from identify.arrays import Floats, Ints
@@ -28,6 +29,7 @@ class Plan:
         final: Value and bound of this plan, on the candidates and its own poses.
         information: (p, p) of the identifiable parameters.
         refinement: What the refinement did, or None.
+        compared: How good the plan is by every criterion.
         notes: What the user should know.
     """
 
@@ -38,6 +40,7 @@ class Plan:
     final: Bound
     information: Floats
     refinement: Refinement | None
+    compared: Efficiencies
     notes: tuple[str, ...]
 
     @property
@@ -50,8 +53,9 @@ def plan(study: Study, *, seed: int = 0) -> Plan:
     """Pick the poses and loads that minimise the criterion of the study.
 
     Candidates are drawn over the joint limits; column generation gives the best relaxed design and its
-    proven bound; exchange and local search make it a plan of n experiments; the joint angles are then
-    moved off the grid.
+    proven bound; exchange and local search make it a plan of n experiments. Off the grid, column generation over
+    all poses gives further candidates and an estimate of what is best anywhere; the plan is exchanged with them
+    and all its joint angles are moved.
 
     Args:
         study: The study; its ``[plan]`` says what is wanted.
@@ -63,11 +67,22 @@ def plan(study: Study, *, seed: int = 0) -> Plan:
     """
     pool = build_pool(study, seed)
     aim, repeats = pool.objective, study.plan.repeats
-    choice = sufficient(pool, seed) if study.plan.poses is None else choose(pool, study.plan.poses, seed)
-    count, none = len(choice.q), pool.blocks[:0]
-    grid = bound_of(aim, count, pool.blocks, none, aim.value(information_of(choice.grid)), repeats=repeats)
+    reach = reach_of(pool, seed) if study.plan.refine else None
+    if study.plan.poses is None:
+        choice = sufficient(pool, seed, reach)
+    else:
+        choice = choose(pool, study.plan.poses, seed, reach)
+
+    def bound(own: Floats) -> Bound:
+        proven = bound_of(aim, pool.blocks, own, aim.value(information_of(own)), repeats=repeats, nodes=NODES)
+        if reach is None:
+            return proven
+        return replace(proven, estimate=min(reach.columns.bound / len(own), proven.bound))
+
+    grid = bound(choice.grid)
+    final = grid if choice.own is choice.grid else bound(choice.own)
     information = information_of(choice.own)
-    final = grid
-    if choice.own is not choice.grid:
-        final = bound_of(aim, count, pool.blocks, choice.own, aim.value(information), repeats=repeats)
-    return Plan(pool, choice.q, choice.visit_loads, grid, final, information, choice.refinement, choice.notes)
+    compared = efficiencies(aim, pool.blocks, choice.own, repeats=repeats)
+    return Plan(
+        pool, choice.q, choice.visit_loads, grid, final, information, choice.refinement, compared, choice.notes
+    )

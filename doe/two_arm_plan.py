@@ -98,11 +98,10 @@ def plan_for_both(study: TwoArmStudy, *, seed: int = 0) -> TwoArmPlan:
         choice = fewest(pool, seed, lambda: relative_jitter(study), lambda count: choose_for_both(pool, count, seed))
     else:
         choice = choose_for_both(pool, study.plan.poses, seed)
-    count, none = len(choice.grid), pool.blocks[:0]
-    grid = bound_of(aim, count, pool.blocks, none, aim.value(information_of(choice.grid)), repeats=repeats)
+    grid = bound_of(aim, pool.blocks, choice.grid, aim.value(information_of(choice.grid)), repeats=repeats)
     information, final = information_of(choice.own), grid
     if choice.own is not choice.grid:
-        final = bound_of(aim, count, pool.blocks, choice.own, aim.value(information), repeats=repeats)
+        final = bound_of(aim, pool.blocks, choice.own, aim.value(information), repeats=repeats)
     return TwoArmPlan(pool, choice, grid, final, information)
 
 
@@ -133,7 +132,7 @@ def evaluate_both(study: TwoArmStudy, experiments: Sequence[Experiment], *, seed
         if found is not None:
             blocks = watching.blocks(side, found.visit_q, found.visit_loads)
             pool = joined(pool, keep_columns(blocks, known.kept))
-    bound = bound_of(aim, len(own), pool, own, aim.value(information), repeats=study.plan.repeats)
+    bound = bound_of(aim, pool, own, aim.value(information), repeats=study.plan.repeats)
     visits = (len(parts[0]), len(parts[1]))
     return TwoArmEvaluation(watching, known, aim, information, visits, chosen, bound)
 
