@@ -25,9 +25,12 @@ KEPT = 300  # candidates beside those of the relaxed design
 STARTS = 60  # of one round, beside the poses of the design itself
 FRESH = 150  # of the last word
 ROUNDS = 25
-QUICK, THOROUGH = 12, 40  # steps of an ascent
+PASSES = 20  # for the design on the columns; where its optimum is singular it would need many more
+STALLED = 5  # rounds that have to lower the value
+QUICK, THOROUGH = 12, 30  # steps of an ascent
+HOPEFUL = 0.8  # of the largest sensitivity: starts that reach this in a few steps go on
 CLOSED = 1e-4  # relative gap at which the last word is asked for
-SAME = 1e-3  # of the scale: columns nearer than this are one
+SAME, NEAR = 1e-3, 0.1  # of the scale: new columns in one such cell are one; columns that are one start
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,43 +136,58 @@ class _Search:
 
     def run(self, tol: float) -> Columns:
         """Rounds until fresh starts find nothing any more."""
-        asked = False  # for the last word
+        asked, values = False, []  # asked: for the last word
         for rounds in range(1, ROUNDS + 1):
-            problem, found = self._relaxed(min(1e-4, max(1e-7, 0.02 * (1.0 - self.bound / self.value))))
-            asked = asked or rounds == ROUNDS
+            gap = 1.0 - self.bound / self.value
+            problem, found = self._relaxed(min(1e-4, max(0.02 * gap, 0.02 * tol)))
+            values.append(found.certificate.value)
+            stalled = len(values) > STALLED and values[-1] > values[-1 - STALLED] * (1.0 - 0.2 * tol)
+            stalled = stalled or found.gap > tol
+            asked = asked or stalled or rounds == ROUNDS
             starts = self._starts(found, FRESH if asked else STARTS)
             factor = problem.space.basis @ found.certificate.factor
-            x, d = ascend(self.region, factor, starts.x, starts.choice, steps=THOROUGH if asked else QUICK)
-            largest = max(float(d.max()), float(found.d.max()), float(Blocks(self.grid.blocks).sensitivities(factor).max()))
+            x, d = self._climbed(factor, starts, found, thorough=asked)
+            largest = max(
+                float(d.max()), float(found.d.max()), float(Blocks(self.grid.blocks).sensitivities(factor).max())
+            )
             self.value, self.bound = found.certificate.value, found.certificate.numerator / largest
-            if 1.0 - self.bound / self.value <= tol:
-                if asked:
-                    break
-                asked = True
-            else:
-                asked = False
+            closed = 1.0 - self.bound / self.value <= tol
+            if asked and (closed or stalled):
+                break
+            asked = closed
             self._enlarge(found, x, starts.choice, d)
         return Columns(self.columns, self.value, min(self.bound, self.value), factor, rounds)
 
     def _relaxed(self, tol: float) -> tuple[Problem, Found]:
         """The relaxed design on the present columns."""
         problem = make_problem(self.columns.blocks, self.target, self.criterion, None, None, None)
-        return problem, best_weights(problem, tol)
+        return problem, best_weights(problem, tol, PASSES)
 
     def _starts(self, found: Found, count: int) -> Sample:
         """The poses of the design, the best and some other candidates."""
-        own = self.columns.take(np.flatnonzero(found.u > 1e-6))
+        used = np.flatnonzero(found.u > 1e-6)
+        used = used[np.argsort(-found.u[used], kind="stable")]
+        used = used[self._distinct(self.columns.x[used], self.columns.choice[used], NEAR)][:count]
+        own = self.columns.take(used)
         near = self.order[: max(count, len(self.order) // 20)]
         good = self.rng.choice(near, min(count // 2, len(near)), replace=False)
         others = self.rng.choice(len(self.order), min(count - count // 2, len(self.order)), replace=False)
         return own.plus(self.grid.take(np.union1d(good, others)))
+
+    def _climbed(self, factor: Floats, starts: Sample, found: Found, *, thorough: bool) -> tuple[Floats, Floats]:
+        """Where some steps of ascent lead, (m, d) and (m,); ``thorough``: those that may get far go on."""
+        x, d = ascend(self.region, factor, starts.x, starts.choice, steps=QUICK)
+        if thorough:
+            on = np.flatnonzero(d > HOPEFUL * found.d.max())
+            x[on], d[on] = ascend(self.region, factor, x[on], starts.choice[on], steps=THOROUGH)
+        return x, d
 
     def _enlarge(self, found: Found, x: Floats, choice: Ints, d: Floats) -> None:
         """Add what would improve the design, and drop what has no part in it."""
         level = found.certificate.numerator / found.certificate.value
         hopeful = np.flatnonzero(d > level * (1.0 + 1e-7))
         hopeful = hopeful[np.argsort(-d[hopeful], kind="stable")]
-        hopeful = hopeful[self._distinct(x[hopeful], choice[hopeful])]
+        hopeful = hopeful[self._distinct(x[hopeful], choice[hopeful], SAME)]
         used = np.flatnonzero(found.u > 1e-9)
         rest = np.setdiff1d(np.argsort(-found.d, kind="stable")[: len(used) + KEPT], used)[:KEPT]
         kept = self.columns.take(np.concatenate([used, rest]))
@@ -178,8 +196,8 @@ class _Search:
             kept = kept.plus(new)
         self.columns = kept
 
-    def _distinct(self, x: Floats, choice: Ints) -> Ints:
-        """The first of each group of points that are one."""
+    def _distinct(self, x: Floats, choice: Ints, apart: float) -> Ints:
+        """The first of each group of points in one cell of ``apart`` times the scale."""
         scale = np.where(self.region.scale > 0.0, self.region.scale, 1.0)
-        keys = np.column_stack([np.rint(x / (SAME * scale)), choice])
+        keys = np.column_stack([np.rint(x / (apart * scale)), choice])
         return np.sort(np.unique(keys, axis=0, return_index=True)[1])
