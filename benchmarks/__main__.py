@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-NAMES = ("blocks", "compensation", "complete", "design", "dual", "fit", "whole")
+NAMES = ("blocks", "compensation", "complete", "continuous", "design", "dual", "fit", "whole")
 
 
 def main() -> None:

@@ -132,7 +132,7 @@ class _Climb:
             self._rate(out, pulled_back(self.region, self.x[out], self.best[out], self.choice[out]))
 
     def _rate(self, which: Ints, x: Floats) -> Floats:
-        """f of points (m, d) of some climbers; the best ones that may be measured are kept."""
+        """Rate points (m, d) of some climbers by f; the best ones that may be measured are kept."""
         choice = self.choice[which]
         excess = self.region.excess(x, choice)
         logs = np.full(len(x), -np.inf)

@@ -54,9 +54,7 @@ class Bound:
         return min(self.estimate / self.value, 1.0) if np.isfinite(self.value) else 0.0
 
 
-def bound_of(
-    aim: Objective, pool: Floats, own: Floats, value: float, *, repeats: bool, nodes: int = 0
-) -> Bound:
+def bound_of(aim: Objective, pool: Floats, own: Floats, value: float, *, repeats: bool, nodes: int = 0) -> Bound:
     """Proven lower bound for plans of as many experiments as a given one.
 
     Args:

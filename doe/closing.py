@@ -1,4 +1,4 @@
-"""Branch and bound on what a better plan could hold: closes the gap between a plan and its bound where that is small."""
+"""Branch and bound on what a better plan could hold: closes a small gap between a plan and its bound."""
 
 from __future__ import annotations
 

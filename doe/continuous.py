@@ -94,7 +94,13 @@ class Columns:
 
 
 def continuous_columns(
-    region: Region, grid: Sample, target: Floats | None, criterion: str, rng: np.random.Generator, *, tol: float = CLOSED
+    region: Region,
+    grid: Sample,
+    target: Floats | None,
+    criterion: str,
+    rng: np.random.Generator,
+    *,
+    tol: float = CLOSED,
 ) -> Columns:
     """Find the best relaxed design over all poses, starting from that of a grid.
 

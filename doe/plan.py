@@ -83,6 +83,4 @@ def plan(study: Study, *, seed: int = 0) -> Plan:
     final = grid if choice.own is choice.grid else bound(choice.own)
     information = information_of(choice.own)
     compared = efficiencies(aim, pool.blocks, choice.own, repeats=repeats)
-    return Plan(
-        pool, choice.q, choice.visit_loads, grid, final, information, choice.refinement, compared, choice.notes
-    )
+    return Plan(pool, choice.q, choice.visit_loads, grid, final, information, choice.refinement, compared, choice.notes)

@@ -121,10 +121,12 @@ def tests(count: int, case: str, rng: np.random.Generator) -> Floats:
     return parts.reshape(3 * count, -1) / np.sqrt(count)
 
 
-def reference_case(count: int, p: int = 6, test_poses: int = 20, seed: int = 0) -> tuple[Floats, Floats]:
+def reference_case(
+    count: int, p: int = 6, test_poses: int = 20, seed: int = 0, candidate_seed: int | None = None
+) -> tuple[Floats, Floats]:
     """Blocks (count, 9, p) and target (3 test_poses, p) of case a (p = 6) or b (p = 26)."""
     case = {6: "a", 26: "b"}[p]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed if candidate_seed is None else candidate_seed)
     target = tests(test_poses, case, np.random.default_rng(1000 + seed))
     blocks = candidates(count, case, rng)
     if case == "b":
@@ -137,8 +139,8 @@ def reference_case(count: int, p: int = 6, test_poses: int = 20, seed: int = 0) 
 def continuous_case(p: int = 6, seed: int = 0) -> tuple[Region, Callable[[int], Sample], Floats]:
     """Case a (p = 6) or b (p = 26) over all poses: its region, candidates drawn of it by number, and its target.
 
-    In case a the direction of the horizontal pull varies continuously too, as a seventh variable; choices 0 to 2 are the
-    points where the weight hangs, 3 to 5 those where the arm is pulled (case a only).
+    In case a the direction of the horizontal pull varies continuously too, as a seventh variable; choices 0 to 2 are
+    the points where the weight hangs, 3 to 5 those where the arm is pulled (case a only).
     """
     case = {6: "a", 26: "b"}[p]
     kept = np.arange(6)

@@ -1,17 +1,23 @@
 """Off the grid: ascent, column generation over all poses, and plans that are exchanged and polished there."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from reference_cases import continuous_case
 
 from doe import approximate_design, exact_design
 from doe.ascent import Region, ascend, pulled_back
+from doe.blocks import Blocks
+from doe.commands import run_plan
 from doe.continuous import Sample, continuous_columns
 from doe.plan import plan
 from doe.polish import polish
 from doe.pool import build_pool
 from doe.reach import reach_of
-from tests.doe.study_files import ARM, KR270, study
+from tests.doe.study_files import ARM, KR270, study, study_file
+
+ROOT = Path(__file__).parents[2]
 
 
 def single(lower=-np.pi, upper=np.pi, floor=-np.inf):
@@ -57,7 +63,7 @@ def test_ascent_stops_at_a_floor_and_stays_above_it():
 
 
 def test_ascent_never_loses_and_never_leaves_what_may_be_measured():
-    region, drawn, target = continuous_case(26)
+    region, drawn, _ = continuous_case(26)
     starts = drawn(60)
     factor = np.random.default_rng(1).normal(size=(26, 8))
     before = np.sum((starts.blocks @ factor) ** 2, axis=(1, 2))
@@ -222,3 +228,26 @@ def test_effects_without_symbolic_columns_leave_the_grid_too(tmp_path):
     assert made.refinement.status == "L-BFGS-B on differences"
     assert made.final.value < 0.97 * made.grid.value
     assert made.final.continuous > 0.9
+
+
+def test_plan_json_and_its_words_tell_what_is_proven_and_what_is_estimated(tmp_path):
+    outcome = run_plan(study_file(tmp_path, KR270), seed=0)
+    content, words = outcome.content, "\n".join(outcome.lines)
+    formats = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    for key in ("bound_source", "efficiency_continuous", "efficiencies", "efficiencies_candidates"):
+        assert key in content
+        assert f"`{key}`" in formats
+    assert set(content["efficiencies"]) == {"test_pose", "A", "D", "E", "G"}
+    assert content["efficiencies_candidates"] == 400
+    assert "proven optimal on these by branch and bound within" in words
+    assert f"estimated over all joint angles, not proven: {100 * content['efficiency_continuous']:.2f} %" in words
+    again = run_plan(study_file(tmp_path, KR270), seed=0)
+    assert again.tables == outcome.tables
+
+
+def test_halves_of_many_candidates_are_priced_as_one(monkeypatch):
+    blocks = np.random.default_rng(0).normal(size=(1001, 3, 5))
+    factor = np.random.default_rng(1).normal(size=(5, 2))
+    alone = Blocks(blocks).sensitivities(factor)
+    monkeypatch.setattr("doe.blocks.MANY", 10)
+    np.testing.assert_allclose(Blocks(blocks).sensitivities(factor), alone, rtol=1e-13)
