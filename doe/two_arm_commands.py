@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from doe.bounds import efficiencies
 from doe.information import standard_deviations
 from doe.judgement import (
     bound_json,
@@ -39,9 +40,12 @@ def run_plan_for_both(study_file: Path, *, seed: int) -> Outcome:
     pool, arms = made.pool, made.choice.arms
     reached = relative_accuracy(study, pool.objective, made.covariance)
     visits = [len(own.q) for own in arms]
+    compared = efficiencies(pool.objective, pool.blocks, made.choice.own, repeats=pool.observer.settings.repeats)
     content = {
         **judgement(pool.observer, pool.known, pool.objective, made.final, reached),
         "grid": bound_json(made.grid),
+        "efficiencies": dict(compared.by_criterion),
+        "efficiencies_candidates": compared.candidates,
         "poses": sum(visits),
         "arms": _by_arm(study, visits),
         "different_poses": sum(len(np.unique(own.q, axis=0)) for own in arms),
