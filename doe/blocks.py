@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from identify.errors import InputError
 __all__ = ["Blocks", "sensitivities"]
 
 CHUNK = 1 << 17  # numbers per chunk: 1 MB of float64 stays in a core's cache
+MANY = 1 << 24  # numbers that are worth a second thread
 
 
 class Blocks:
@@ -55,11 +57,11 @@ class Blocks:
         """Number of parameters."""
         return int(self.array.shape[2])
 
-    def chunks(self) -> Iterator[tuple[slice, Floats]]:
-        """Candidates and their rows ((m k), p) in float64, some at a time."""
-        step = max(1, CHUNK // (self.k * self.p))
-        for start in range(0, len(self), step):
-            part = slice(start, min(start + step, len(self)))
+    def chunks(self, first: int = 0, end: int | None = None) -> Iterator[tuple[slice, Floats]]:
+        """Candidates from ``first`` to before ``end`` and their rows ((m k), p) in float64, some at a time."""
+        step, end = max(1, CHUNK // (self.k * self.p)), len(self) if end is None else end
+        for start in range(first, end, step):
+            part = slice(start, min(start + step, end))
             yield part, np.ascontiguousarray(self.array[part], dtype=np.float64).reshape(-1, self.p)
 
     def take(self, index: Ints, basis: Floats) -> Floats:
@@ -79,8 +81,17 @@ class Blocks:
     def sensitivities(self, factor: Floats) -> Floats:
         """``d_i = |A_i factor|^2`` of all candidates, (N,), for ``factor`` (p, q)."""
         result = np.empty(len(self))
-        for part, rows in self.chunks():
-            result[part] = _squares(rows @ factor, self.k)
+
+        def fill(parts: tuple[int, int]) -> None:
+            for part, rows in self.chunks(*parts):
+                result[part] = _squares(rows @ factor, self.k)
+
+        if self.array.size < MANY:
+            fill((0, len(self)))
+        else:  # numpy works outside the interpreter's lock; every number is the same whoever computes it
+            half = len(self) // 2
+            with ThreadPoolExecutor(2) as threads:
+                list(threads.map(fill, ((0, half), (half, len(self)))))
         return result
 
     def _peak(self) -> Floats:

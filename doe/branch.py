@@ -22,7 +22,6 @@ from identify.arrays import Floats, Ints
 
 __all__ = ["branch_and_bound", "possible"]
 
-MOST = 150  # candidates; beyond that a proof is out of reach
 CLOSED = 1e-6  # relative gap at which a node needs no more work
 
 

@@ -23,7 +23,7 @@ from identify.errors import Infeasible, InputError
 from identify.model import effects_of
 from identify.study import Study
 
-__all__ = ["Candidates", "candidates", "load_choices", "rounded", "sampled_range"]
+__all__ = ["Candidates", "candidates", "load_choices", "rounded", "sampled_range", "stops_of"]
 
 _log = logging.getLogger("elastocal")
 
@@ -219,7 +219,7 @@ def _draws(study: Study, ends: tuple[Floats, Floats], seed: int) -> Callable[[in
     """The next (B, n) poses of the sequence, as a plan file holds them, for a number B."""
     from scipy.stats import qmc
 
-    (lower, upper), stops = ends, _stops(study)
+    (lower, upper), stops = ends, stops_of(study)
     sequence = qmc.Sobol(study.robot.n, scramble=True, seed=np.random.default_rng(seed))
 
     def draw(count: int) -> Floats:
@@ -232,8 +232,8 @@ def _draws(study: Study, ends: tuple[Floats, Floats], seed: int) -> Callable[[in
     return draw
 
 
-def _stops(study: Study) -> dict[int, Floats]:
-    """Joints that stop at certain values only, because an effect of the study is defined there alone."""
+def stops_of(study: Study) -> dict[int, Floats]:
+    """Joints that stop at certain values (rad or m) only, because an effect of the study is defined there alone."""
     return {joint: values for effect in effects_of(study, study.effects) for joint, values in effect.stops.items()}
 
 

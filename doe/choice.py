@@ -1,29 +1,25 @@
-"""A number of experiments: searched on the grid, refined off it."""
+"""A number of experiments: searched on the grid, then off it."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from doe.candidates import rounded
-from doe.earlier import NOTHING, Earlier
-from doe.feasible import joint_range, screen
+from doe.feasible import screen
 from doe.guard import Guard, blind_spot, guarded_search
-from doe.information import information_of, standard_deviations
-from doe.objective import Objective
-from doe.observations import Observer
+from doe.off_grid import OffGrid, Visits, off_grid, search_off_grid
 from doe.pool import Pool
-from doe.refine import Others, Refinement, refine
+from doe.reach import Reach
+from doe.refine import Others, Refinement
 from doe.robustness import value_that_counts
 from identify.arrays import Floats, Ints
 
-__all__ = ["Choice", "choose", "off_grid"]
+__all__ = ["Choice", "all_poses_count", "choose"]
 
 _SHARES = (1.0, 0.5, 0.25, 0.125)  # of the way of a refinement that is tried for robust plans
-_HARDLY = 1e-3  # loss of the criterion that a plan with fewer different poses is worth
 
 log = logging.getLogger("elastocal")
 
@@ -51,30 +47,58 @@ class Choice:
     notes: tuple[str, ...]
 
 
-def choose(pool: Pool, count: int, seed: int) -> Choice:
-    """Search ``count`` experiments on the grid and refine them."""
+def choose(pool: Pool, count: int, seed: int, reach: Reach | None = None) -> Choice:
+    """Search ``count`` experiments on the grid, then off it.
+
+    Args:
+        pool: The candidates.
+        count: Number of experiments.
+        seed: Of the search.
+        reach: All poses, with the columns to search off the grid; None to stay on it.
+
+    Raises:
+        Infeasible: ``max_std_percent`` cannot be met.
+        NotIdentifiable: So many experiments cannot show what the criterion needs.
+    """
     study, aim = pool.observer.study, pool.objective
     log.info("%d candidates, %d parameters; searching %d experiments", len(pool.blocks), aim.size, count)
     chosen, guard, notes = guarded_search(pool, count, seed)
     best = guard.best
     most = None if best is None else study.plan.max_std_percent / 100.0 * best
-    q, loads = pool.candidates.visit_q[chosen], pool.candidates.visit_loads[chosen]
-    grid = own = pool.blocks[chosen]
-    refinement = None
+    start = Visits(pool.candidates.visit_q[chosen], pool.candidates.visit_loads[chosen], pool.blocks[chosen])
+    found, refinement = start, None
     if study.plan.refine and count:
-        log.info("refining the joint angles of %d experiments", count)
-        refined, moved, refinement = off_grid(
-            pool.observer, pool.known.kept, aim, chosen, q, loads, most, others_of(pool.prior), pool.earlier
-        )
-        if study.plan.losses or pool.draws:
-            refined, moved = _part_of_the_way(pool, q, loads, refined)
-        if value_that_counts(pool, refined, loads, moved) < value_that_counts(pool, q, loads, grid):
-            q, own = refined, moved
+        log.info("searching %d experiments off the grid", count)
+        if reach is None:
+            found, refinement = _moved_beside(pool, chosen, start, most)
+        else:
+            found, refinement = search_off_grid(OffGrid(pool, reach, count, seed, best, most), chosen, start)
     if refinement is not None and refinement.reason:
         notes = (*notes, f"not refined: {refinement.reason}")
     if best is not None:
-        notes = (*notes, *blind_spot(pool, own, best))
-    return Choice(q, loads, grid, own, refinement, guard, notes)
+        notes = (*notes, *blind_spot(pool, found.blocks, best))
+    return Choice(found.q, found.loads, start.blocks, found.blocks, refinement, guard, notes)
+
+
+def all_poses_count(pool: Pool) -> bool:
+    """True if a plan is searched among all poses: nothing was measured or refused before, and nothing may be lost."""
+    plain = pool.observer.study.plan.losses == 0 and not pool.draws
+    return plain and pool.prior is None and not len(pool.earlier.refused)
+
+
+def _moved_beside(pool: Pool, chosen: Ints, start: Visits, most: Floats | None) -> tuple[Visits, Refinement]:
+    """Move a plan that has something beside it, or that counts after losses or on average; it is no worse."""
+    study = pool.observer.study
+    q, blocks, refinement = off_grid(
+        pool.observer, pool.known.kept, pool.objective, chosen, start.q, start.loads, most, others_of(pool.prior),
+        pool.earlier,
+    )  # fmt: skip
+    if study.plan.losses or pool.draws:
+        q, blocks = _part_of_the_way(pool, start.q, start.loads, q)
+    better = value_that_counts(pool, q, start.loads, blocks) < value_that_counts(
+        pool, start.q, start.loads, start.blocks
+    )
+    return (Visits(q, start.loads, blocks) if better else start), refinement
 
 
 def _part_of_the_way(pool: Pool, q: Floats, loads: Ints, refined: Floats) -> tuple[Floats, Floats]:
@@ -104,94 +128,3 @@ def others_of(prior: Floats | None) -> Others | None:
     values, vectors = np.linalg.eigh(prior / scale / scale[:, None])
     rows = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
     return Others(rows, np.arange(len(prior)))
-
-
-def off_grid(
-    observer: Observer,
-    kept: Ints,
-    aim: Objective,
-    chosen: Ints,
-    q: Floats,
-    loads: Ints,
-    most: Floats | None,
-    others: Others | None = None,
-    earlier: Earlier = NOTHING,
-) -> tuple[Floats, Floats, Refinement]:
-    """Move the visits of one arm off the grid.
-
-    Args:
-        observer: What turns poses of this arm into blocks.
-        kept: Kept columns of its model.
-        aim: The criterion on all p kept parameters of the plan.
-        chosen: (n,) candidate of each visit; repeats of one may end at one pose.
-        q: (n, dof) joint values, rad or m.
-        loads: (n, L) loads.
-        most: (p,) standard deviations that must not be exceeded, or None.
-        others: What else belongs to the plan.
-        earlier: What it keeps clear of.
-
-    Returns:
-        Joint values (n, dof) as a plan file holds them, the blocks (n, k, p) and what was done. They may be no better.
-    """
-
-    def blocks(values: Floats) -> Floats:
-        own = observer.blocks(values, loads)[:, :, kept]
-        return own if others is None else others.spread(own)
-
-    def information(values: Floats) -> Floats:
-        own = information_of(blocks(values))
-        return own if others is None else own + others.rows.T @ others.rows
-
-    for limit in (None, most):  # most plans keep the limit without being told
-        refinement = _refine(observer, kept, aim, q, loads, limit, others, earlier)
-        refined = rounded(observer.study, refinement.q)
-        refined = _together(lambda values: aim.value(information(values)), chosen, refined)
-        if most is None or (standard_deviations(information(refined)) <= most * (1.0 + 1e-6)).all():
-            break
-    return refined, blocks(refined), refinement
-
-
-def _refine(
-    observer: Observer,
-    kept: Ints,
-    aim: Objective,
-    q: Floats,
-    loads: Ints,
-    limits: Floats | None,
-    others: Others | None,
-    earlier: Earlier,
-) -> Refinement:
-    """Move the joint angles within limits, floor and the parameters' limits; all else is checked on arrival."""
-    study = observer.study
-    (lower, upper), tests = joint_range(study), screen(study)
-
-    def allowed(moved: Floats) -> np.ndarray:
-        arrived = rounded(study, moved)
-        return np.asarray(tests.check(arrived, loads).ok & earlier.clear(study, arrived))
-
-    return refine(
-        observer,
-        q,
-        loads,
-        kept,
-        aim.target(),
-        criterion=aim.criterion,
-        lower=lower,
-        upper=upper,
-        floor=study.constraints.floor,
-        max_std=limits,
-        allowed=allowed,
-        others=others,
-    )
-
-
-def _together(value: Callable[[Floats], float], chosen: Ints, q: Floats) -> Floats:
-    """Joint values in which repeats of one candidate that hardly parted stand at one pose again."""
-    reached = value(q)
-    for candidate in np.unique(chosen):
-        visits = np.flatnonzero(chosen == candidate)
-        tidy = q.copy()
-        tidy[visits] = q[visits[0]]
-        if len(visits) > 1 and value(tidy) <= reached * (1.0 + _HARDLY):
-            q = tidy
-    return q

@@ -46,8 +46,8 @@ class Found:
         return 1.0 - self.bound / self.certificate.value
 
 
-def best_weights(problem: Problem, tol: float) -> Found:
-    """Solve a checked problem until the proven gap is at most ``tol`` or cannot be closed further.
+def best_weights(problem: Problem, tol: float, passes: int = PASSES) -> Found:
+    """Solve a checked problem until the proven gap is at most ``tol`` or cannot be closed further in so many passes.
 
     Where the caps do not reach the sum 1, the best is to put every weight at its cap.
     """
@@ -55,10 +55,10 @@ def best_weights(problem: Problem, tol: float) -> Found:
         return _only_point(problem)
     search = _Search(problem)
     best = search.iterate(1, tol)
-    for passes in range(2, PASSES + 1):
+    for number in range(2, passes + 1):
         if best.gap <= tol or not search.enlarge(tol):
             break
-        here = search.iterate(passes, tol)
+        here = search.iterate(number, tol)
         best = here if here.gap < best.gap else best
     return search.clear(best, tol) if best.gap <= tol else best
 

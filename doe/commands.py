@@ -64,6 +64,8 @@ def run_plan(study_file: Path, *, seed: int, out: Path, before: EarlierFiles = N
     content = {
         **judgement(made.pool.observer, made.pool.known, made.pool.objective, made.final, reached),
         "grid": bound_json(made.grid),
+        "efficiencies": None if made.compared is None else dict(made.compared.by_criterion),
+        "efficiencies_candidates": None if made.compared is None else made.compared.candidates,
         "poses": len(made.q),
         "different_poses": len(np.unique(made.q, axis=0)),
         "refinement": _refinement(made),

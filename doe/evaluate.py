@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doe.bounds import Bound, bound_of
+from doe.bounds import NODES, Bound, bound_of
 from doe.candidates import Candidates, candidates
 from doe.design_choices import open_choices
 from doe.feasible import FEASIBLE, count_reasons, screen
@@ -96,7 +96,7 @@ def evaluate(study: Study, experiment: Experiment, *, seed: int = 0) -> Evaluati
         blocks = keep_columns(watching.blocks(chosen.visit_q, chosen.visit_loads), known.kept)
         pool = Pool(watching, chosen, known, blocks, aim)
     among = own[:0] if pool is None else pool.blocks
-    bound = bound_of(aim, len(own), among, own, aim.value(information), repeats=study.plan.repeats)
+    bound = bound_of(aim, len(own), among, own, aim.value(information), repeats=study.plan.repeats, nodes=NODES)
     return Evaluation(watching, experiment, known, aim, information, own, pool, bound, _broken(study, experiment))
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from doe.attainable import most_experiments, most_rank, needed_rank, richest
-from doe.branch import MOST, branch_and_bound, possible
+from doe.closing import close_gap
 from doe.column_generation import Found, best_weights
 from doe.local_search import Limits, Plan, Pool, exchange, fill, improve_from_all, iterate, make_pool
 from doe.problem import Problem, checked_costs, make_problem
@@ -22,7 +22,7 @@ from identify.arrays import Ints, frozen
 from identify.errors import Infeasible, InputError, NotIdentifiable
 from identify.threads import one_thread
 
-__all__ = ["ExactDesign", "exact_design", "kept_regular"]
+__all__ = ["ExactDesign", "exact_design", "kept_regular", "proven_bound"]
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,36 @@ def exact_design(
         value = _value(problem, target, criterion, prior, counts)
     bound = min(bound, value)
     return ExactDesign(frozen(counts, np.int64), value, bound, bound / value, source)
+
+
+def proven_bound(
+    blocks: Any, target: Any, members: Ints, *, criterion: str, repeats: bool, nodes: int
+) -> tuple[float, str]:
+    """Lower bound of all plans of as many experiments as a given one, by branch and bound where that is in reach.
+
+    Args:
+        blocks: (N, k, p) whitened observation rows.
+        target: As for `exact_design`.
+        members: (n,) candidates of the plan, repeats listed repeatedly.
+        criterion: test_pose, A, D, E or G.
+        repeats: Whether a candidate may be measured more than once.
+        nodes: Most nodes of branch and bound; 0 for the relaxation alone.
+
+    Returns:
+        The bound and where it comes from: relaxation or branch_and_bound.
+
+    Raises:
+        InputError: A wrong shape or value.
+        NotIdentifiable: The candidates cannot show what the criterion needs.
+    """
+    with one_thread():
+        problem = make_problem(blocks, target, criterion, None, None, None)
+        limits = _checked_limits(len(members), repeats, None, None, len(problem.blocks))
+        problem, found = _relaxed(kept_regular(problem, limits), limits)
+        own, place = np.unique(members, return_inverse=True)
+        pool = make_pool(problem, problem.prior, own, limits)
+        _, bound, source = close_gap(problem, found, limits, pool.plan([int(j) for j in place]), members, nodes)
+    return bound, source
 
 
 def _checked_limits(n: Any, repeats: bool, costs: Any, budget: Any, count: int) -> Limits:
@@ -216,18 +246,8 @@ def _search(
         wide, plan, better = improve_from_all(problem, wide, plan)
         if not better:
             break
-    chosen, bound, source = wide.index[list(plan.members)], found.bound, "relaxation"
-    if effort.nodes and bound < plan.value * (1.0 - 1e-6):
-        kept = possible(problem, found, plan.value)
-        if 0 < len(kept) <= MOST:
-            pool = make_pool(problem, problem.prior, kept, limits)
-            closed, better_bound = branch_and_bound(pool, problem.costs[kept], plan, bound, effort.nodes)
-            if closed is not plan:
-                chosen = pool.index[list(closed.members)]
-            if better_bound > bound:
-                bound, source = better_bound, "branch_and_bound"
-        elif not len(kept):
-            bound, source = plan.value * (1.0 - 1e-6), "branch_and_bound"
+    chosen = np.asarray(wide.index[list(plan.members)])
+    chosen, bound, source = close_gap(problem, found, limits, plan, chosen, effort.nodes)
     return np.bincount(chosen, minlength=len(problem.blocks)), bound, source
 
 

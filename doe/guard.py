@@ -100,8 +100,16 @@ def _found(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str,
     return np.repeat(np.arange(len(found.counts)), found.counts)
 
 
-def guarded_search(pool: AnyPool, count: int, seed: int) -> tuple[Ints, Guard, tuple[str, ...]]:
+def guarded_search(
+    pool: AnyPool, count: int, seed: int, best: Floats | None = None
+) -> tuple[Ints, Guard, tuple[str, ...]]:
     """Search; where the plan sees little but the test poses, weigh the parameters' own variances in.
+
+    Args:
+        pool: The candidates.
+        count: Number of experiments.
+        seed: Of the search.
+        best: (p,) standard deviations that count as the best; None to search for them.
 
     Returns:
         Chosen candidates, the guard they were found with, and notes.
@@ -113,8 +121,9 @@ def guarded_search(pool: AnyPool, count: int, seed: int) -> tuple[Ints, Guard, t
     chosen = search(pool, count, seed, Guard())
     if aim.criterion not in {"test_pose", "G"} or not count:
         return chosen, Guard(), ()
-    thorough = _found(pool, np.eye(aim.size), count, seed, "A", "normal")
-    best = standard_deviations(pool.information(pool.blocks[thorough]))
+    if best is None:
+        thorough = _found(pool, np.eye(aim.size), count, seed, "A", "normal")
+        best = standard_deviations(pool.information(pool.blocks[thorough]))
     percent = asked.settings.max_std_percent
     name, ratio = _worst(pool, pool.blocks[chosen], best)
     if ratio <= percent / 100.0:

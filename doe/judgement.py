@@ -11,6 +11,7 @@ import numpy as np
 from doe.accuracy import Accuracy
 from doe.bounds import Bound
 from doe.candidates import Candidates
+from doe.closing import BRANCHED
 from doe.confusability import SHOWN, confusability
 from doe.curve import CurvePoint, Reached
 from doe.objective import Objective
@@ -59,7 +60,8 @@ def judgement(
         },
         "bound": bound.bound,
         "efficiency": bound.efficiency,
-        "efficiency_continuous": None,
+        "bound_source": bound.source,
+        "efficiency_continuous": bound.continuous,
         "reference": observer.reference,
         "rank": known.rank,
         "parameters": [names[index] for index in known.kept],
@@ -123,6 +125,12 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
     lines.append(f"criterion {criterion['name']} = {criterion['value']:.5g} {criterion['unit']}")
     if count:
         lines.append(_proof_line(content, count))
+    if content["bound_source"] == BRANCHED:
+        lines.append(f"proven optimal on these by branch and bound within {_percent(1 - content['efficiency'])}")
+    if content["efficiency_continuous"] is not None:
+        lines.append(
+            f"estimated over all joint angles, not proven: {100 * content['efficiency_continuous']:.2f} % efficient"
+        )
     if content["grid"] is not None and count:
         lines.append(
             f"before refinement: {content['grid']['value']:.5g}, on the candidates alone at least "
@@ -217,6 +225,11 @@ def curve_lines(curve: Sequence[Mapping[str, float | int | None]]) -> list[str]:
         head,
         *(f"{point['poses']:>11}" + "".join(cell(point[key], word) for key, word in shown.items()) for point in curve),
     ]
+
+
+def _percent(share: float) -> str:
+    """A small share in percent, never less than what a bound is closed to."""
+    return f"{max(100 * share, 1e-4):.2g} %"
 
 
 def criteria(aim: Objective, information: Floats) -> dict[str, float | None]:

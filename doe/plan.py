@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from doe.bounds import Bound, bound_of
-from doe.choice import choose
+from doe.bounds import NODES, Bound, Efficiencies, bound_of, efficiencies
+from doe.choice import all_poses_count, choose
 from doe.design_choices import Decision, decide
 from doe.earlier import NOTHING, Earlier
 from doe.guard import Guard
 from doe.information import covariance_of
 from doe.pool import Pool, build_pool
+from doe.reach import reach_of
 from doe.refine import Refinement
 from doe.robustness import Robustness, robustness
 from doe.tolerance import sufficient
@@ -34,6 +35,7 @@ class Plan:
         refinement: What the refinement did, or None.
         guard: What was weighed into the search.
         robust: What it is worth after losses and at other nominal values; None if not asked for.
+        compared: How good the plan is by every criterion; None for no plan at all.
         notes: What the user should know.
         decision: How station and markers were chosen; None where there was no choice.
     """
@@ -47,6 +49,7 @@ class Plan:
     refinement: Refinement | None
     guard: Guard
     robust: Robustness | None
+    compared: Efficiencies | None
     notes: tuple[str, ...]
     decision: Decision | None = None
 
@@ -60,8 +63,10 @@ def plan(study: Study, *, seed: int = 0, earlier: Earlier = NOTHING) -> Plan:
     """Pick the poses and loads that minimise the criterion of the study.
 
     Candidates are drawn over the joint limits; column generation gives the best relaxed design and its
-    proven bound; exchange and local search make it a plan of n experiments; the joint angles are then
-    moved off the grid. Where the study leaves the tracker's station or the markers open, they are chosen first.
+    proven bound; exchange and local search make it a plan of n experiments. Off the grid, column generation over
+    all poses gives further candidates and an estimate of what is best anywhere; the plan is exchanged with them
+    and all its joint angles are moved. Where the study leaves the tracker's station or the markers open, they are
+    chosen first.
 
     Args:
         study: The study; its ``[plan]`` says what is wanted.
@@ -76,25 +81,33 @@ def plan(study: Study, *, seed: int = 0, earlier: Earlier = NOTHING) -> Plan:
     study, decision = decide(study, seed=seed)
     pool = build_pool(study, seed, earlier)
     aim, repeats = pool.objective, study.plan.repeats
-    choice = sufficient(pool, seed) if study.plan.poses is None else choose(pool, study.plan.poses, seed)
-    count, none = len(choice.q), pool.blocks[:0]
-    value = aim.value(pool.information(choice.grid))
-    grid = bound_of(aim, count, pool.blocks, none, value, repeats=repeats, prior=pool.prior)
-    information = pool.information(choice.own)
-    final = grid
-    if choice.own is not choice.grid:
-        value = aim.value(information)
-        final = bound_of(aim, count, pool.blocks, choice.own, value, repeats=repeats, prior=pool.prior)
+    reach = reach_of(pool, seed) if study.plan.refine and all_poses_count(pool) else None
+    if study.plan.poses is None:
+        choice = sufficient(pool, seed, reach)
+    else:
+        choice = choose(pool, study.plan.poses, seed, reach)
+    count = len(choice.q)
+
+    def bound(own: Floats) -> Bound:
+        value = aim.value(pool.information(own))
+        proven = bound_of(aim, count, pool.blocks, own, value, repeats=repeats, prior=pool.prior, nodes=NODES)
+        if reach is None:
+            return proven
+        return replace(proven, estimate=min(reach.columns.bound / count, proven.bound))
+
+    grid = bound(choice.grid)
+    final = grid if choice.own is choice.grid else bound(choice.own)
     return Plan(
         pool,
         choice.q,
         choice.visit_loads,
         grid,
         final,
-        information,
+        pool.information(choice.own),
         choice.refinement,
         choice.guard,
         robustness(pool, choice.q, choice.visit_loads, choice.own),
+        efficiencies(aim, pool.blocks, choice.own, repeats=repeats) if count else None,
         choice.notes,
         decision,
     )

@@ -20,7 +20,7 @@ from identify.study import Study, TestPose, TestRegion
 
 __all__ = ["poses_in", "with_regions"]
 
-_STANDS = {"floor", "walls", "boxes", "self_collision"}  # what forbids a test pose, whatever hangs there
+_STANDS = {"walls", "boxes", "self_collision"}  # what forbids a test pose; the floor is that of the measurement
 _DRAWS = 64  # poses drawn for each point before the search gives up
 _SEED = 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from bisect import bisect_left
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from doe.information import covariance_of, information_of
 from doe.losses import after_losses
 from doe.observations import target_rows
 from doe.pool import AnyPool, Pool
+from doe.reach import Reach
 from identify.arrays import Floats
 from identify.error_radius import radii
 from identify.errors import Infeasible, NoConvergence, NotIdentifiable
@@ -39,13 +41,19 @@ class Chosen(Protocol):
 _C = TypeVar("_C", bound=Chosen)
 
 
-def sufficient(pool: Pool, seed: int) -> Choice:
+def sufficient(pool: Pool, seed: int, reach: Reach | None) -> Choice:
     """The plan with the fewest experiments whose total error keeps the tolerance at every test pose.
+
+    Args:
+        pool: The candidates.
+        seed: Of the search.
+        reach: All poses, or None to stay on the candidates.
 
     Raises:
         Infeasible: The robot's own repeatability forbids it, or more experiments are needed than may be made.
     """
-    return fewest(pool, seed, lambda: jitter_covariance(pool.observer.study), lambda count: choose(pool, count, seed))
+    jitter = functools.partial(jitter_covariance, pool.observer.study)
+    return fewest(pool, seed, jitter, lambda count: choose(pool, count, seed, reach))
 
 
 def fewest(pool: AnyPool, seed: int, jitter: Callable[[], Floats], choice_of: Callable[[int], _C]) -> _C:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.bounds import joined
-from doe.choice import off_grid
 from doe.guard import Guard, blind_spot, guarded_search
 from doe.information import information_of
+from doe.off_grid import off_grid
 from doe.refine import Others, Refinement
 from doe.two_arm_pool import TwoArmPool, kept_of
 from identify.arrays import Floats, Ints

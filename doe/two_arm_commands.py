@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from doe.accuracy import Accuracy
+from doe.bounds import efficiencies
 from doe.curve import Judge, accuracy_curve, fewest_shown, sizes
 from doe.earlier_files import NO_FILES, EarlierFiles
 from doe.information import standard_deviations
@@ -55,9 +56,12 @@ def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_
     pool, arms = made.pool, made.choice.arms
     reached = relative_accuracy(study, pool.objective, made.covariance)
     visits = [len(own.q) for own in arms]
+    compared = efficiencies(pool.objective, pool.blocks, made.choice.own, repeats=pool.observer.settings.repeats)
     content = {
         **judgement(pool.observer, pool.known, pool.objective, made.final, reached),
         "grid": bound_json(made.grid),
+        "efficiencies": dict(compared.by_criterion),
+        "efficiencies_candidates": compared.candidates,
         "poses": sum(visits),
         "arms": _by_arm(study, visits),
         "different_poses": sum(len(np.unique(own.q, axis=0)) for own in arms),

@@ -100,11 +100,12 @@ def plan_for_both(study: TwoArmStudy, *, seed: int = 0) -> TwoArmPlan:
         choice = fewest(pool, seed, lambda: relative_jitter(study), lambda count: choose_for_both(pool, count, seed))
     else:
         choice = choose_for_both(pool, study.plan.poses, seed)
-    count, none = len(choice.grid), pool.blocks[:0]
-    grid = bound_of(aim, count, pool.blocks, none, aim.value(information_of(choice.grid)), repeats=repeats)
-    information, final = information_of(choice.own), grid
-    if choice.own is not choice.grid:
-        final = bound_of(aim, count, pool.blocks, choice.own, aim.value(information), repeats=repeats)
+
+    def bound(own: Floats) -> Bound:
+        return bound_of(aim, len(own), pool.blocks, own, aim.value(information_of(own)), repeats=repeats)
+
+    grid = bound(choice.grid)
+    information, final = information_of(choice.own), grid if choice.own is choice.grid else bound(choice.own)
     return TwoArmPlan(pool, choice, grid, final, information)
 
 

@@ -6,12 +6,16 @@ Case b (p = 26): joint and beam-like link compliances under gravity alone, reduc
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.linalg import qr
 
-from identify.arrays import Floats
+from doe.ascent import Region
+from doe.continuous import Sample
+from identify.arrays import Floats, Ints
 
-__all__ = ["reference_case"]
+__all__ = ["continuous_case", "reference_case"]
 
 DH = np.array(  # a (m), alpha (deg), d (m), offset (deg); an arm of the 270 kg class
     [
@@ -30,6 +34,7 @@ LOAD_POINTS = np.array([[0.0, 0.0, 0.20], [0.25, 0.0, 0.20], [0.0, 0.25, 0.35]])
 TOOL = np.array([0.0, 0.0, 0.30])
 WEIGHT, PULL, PROCESS = 250 * 9.81, 1000.0, 800.0  # N
 SIGMA_MM = 0.03
+LOWEST = 0.1  # m, of the tool
 JOINT_SCALE = np.array([0.4, 0.3, 0.4, 2.8, 3.0, 2.5]) * 1e-6  # rad/Nm, the unit of each joint parameter
 LINK_SCALE = 1e-9 * np.array([10.0, 10.0, 10.0, 100.0, 100.0, 100.0, 30.0, 30.0])  # m/N, rad/Nm, coupling
 PAIRS = ((0, 0), (1, 1), (2, 2), (3, 3), (4, 4), (5, 5), (1, 5), (2, 4))  # a beam: six springs, two couplings
@@ -92,7 +97,7 @@ def rows(placements: Floats, at: Floats, load_at: Floats, force: Floats, case: s
 def candidates(count: int, case: str, rng: np.random.Generator) -> Floats:
     """Whitened blocks (count, 9, 6 or 54) of random poses above the floor."""
     q = rng.uniform(LIMITS[:, 0], LIMITS[:, 1], (4 * count, 6))
-    q = q[point(frames(q), TOOL)[:, 2] > 0.1][:count]
+    q = q[point(frames(q), TOOL)[:, 2] > LOWEST][:count]
     placements = frames(q)
     load_at = point(placements, np.zeros(3)) + np.einsum(
         "vij,vj->vi", placements[:, 6, :3, :3], LOAD_POINTS[rng.integers(3, size=count)]
@@ -116,10 +121,12 @@ def tests(count: int, case: str, rng: np.random.Generator) -> Floats:
     return parts.reshape(3 * count, -1) / np.sqrt(count)
 
 
-def reference_case(count: int, p: int = 6, test_poses: int = 20, seed: int = 0) -> tuple[Floats, Floats]:
+def reference_case(
+    count: int, p: int = 6, test_poses: int = 20, seed: int = 0, candidate_seed: int | None = None
+) -> tuple[Floats, Floats]:
     """Blocks (count, 9, p) and target (3 test_poses, p) of case a (p = 6) or b (p = 26)."""
     case = {6: "a", 26: "b"}[p]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed if candidate_seed is None else candidate_seed)
     target = tests(test_poses, case, np.random.default_rng(1000 + seed))
     blocks = candidates(count, case, rng)
     if case == "b":
@@ -127,3 +134,43 @@ def reference_case(count: int, p: int = 6, test_poses: int = 20, seed: int = 0) 
         kept = np.sort(qr(sample, mode="r", pivoting=True)[1][:p])
         blocks, target = np.ascontiguousarray(blocks[..., kept]), target[:, kept]
     return blocks, target
+
+
+def continuous_case(p: int = 6, seed: int = 0) -> tuple[Region, Callable[[int], Sample], Floats]:
+    """Case a (p = 6) or b (p = 26) over all poses: its region, candidates drawn of it by number, and its target.
+
+    In case a the direction of the horizontal pull varies continuously too, as a seventh variable; choices 0 to 2 are
+    the points where the weight hangs, 3 to 5 those where the arm is pulled (case a only).
+    """
+    case = {6: "a", 26: "b"}[p]
+    kept = np.arange(6)
+    if case == "b":
+        sample = candidates(300, case, np.random.default_rng(7)).reshape(-1, 54)
+        kept = np.sort(qr(sample, mode="r", pivoting=True)[1][:p])
+
+    def blocks(x: Floats, choice: Ints) -> Floats:
+        placements = frames(x[:, :6])
+        turned = np.einsum("vij,vj->vi", placements[:, 6, :3, :3], LOAD_POINTS[choice % 3])
+        load_at = point(placements, np.zeros(3)) + turned
+        pull = PULL * np.stack([np.cos(x[:, -1]), np.sin(x[:, -1]), 0 * x[:, -1]], 1)
+        force = np.where((choice >= 3)[:, None], pull, [0.0, 0.0, -WEIGHT])
+        parts = [rows(placements, point(placements, marker), load_at, force, case) for marker in MARKERS]
+        return np.concatenate(parts, 1)[..., kept] / SIGMA_MM
+
+    def excess(x: Floats, choice: Ints) -> Floats:
+        return np.maximum(LOWEST - point(frames(x[:, :6]), TOOL)[:, 2], 0.0)
+
+    limits = np.vstack([LIMITS, [[-np.pi, np.pi]]]) if case == "a" else LIMITS
+    region = Region(blocks, excess, limits[:, 0], limits[:, 1], np.ones(len(limits)))
+
+    def drawn(count: int) -> Sample:
+        rng = np.random.default_rng(seed)
+        x = rng.uniform(limits[:, 0], limits[:, 1], (4 * count, len(limits)))
+        x = x[excess(x, np.zeros(len(x))) <= 0.0][:count]
+        choice = rng.integers(3, size=count)
+        if case == "a":
+            choice[::3] += 3
+        return Sample(x, choice, blocks(x, choice))
+
+    target = tests(20, case, np.random.default_rng(1000 + seed))[:, kept]
+    return region, drawn, target

@@ -10,6 +10,7 @@ import pytest
 
 from doe import view
 from doe.accuracy import accuracy
+from doe.bounds import bound_of
 from doe.cli import run
 from doe.curve import accuracy_curve, sizes
 from doe.evaluate import evaluate
@@ -54,9 +55,11 @@ def test_nothing_is_below_the_bound_and_more_experiments_tell_more(tmp_path, cri
 def test_the_bound_of_a_size_is_that_of_a_plan_of_this_size(tmp_path):
     for repeats in (True, False):
         whole = study(tmp_path, KR270, plan={"candidates": 30, "refine": False, "repeats": repeats})
-        made = plan(whole)
+        made, pool = plan(whole), build_pool(whole, 0)
         (point,) = curve_of(whole, [8])
-        assert point.bound == pytest.approx(math.sqrt(made.grid.bound), rel=1e-5)
+        own = bound_of(pool.objective, 8, pool.blocks, pool.blocks[:0], math.inf, repeats=repeats)
+        assert point.bound == pytest.approx(math.sqrt(own.bound), rel=1e-5)
+        assert point.bound <= math.sqrt(made.grid.bound) * (1 + 1e-5), "branch and bound may prove more"
     capped, beyond = curve_of(whole, [30, 31])
     assert capped.bound is not None
     assert beyond.bound is beyond.plan is beyond.random is None, "31 different ones of 30"

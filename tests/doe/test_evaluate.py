@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
+from doe.bounds import bound_of
 from doe.commands import run_evaluate, run_plan
 from doe.evaluate import evaluate
 from doe.plan import plan
@@ -98,7 +99,7 @@ def test_evaluate_of_a_plan_file_returns_the_plans_own_figures(tmp_path, setting
     assert judged["criteria"][settings.get("criterion", "test_pose")] == judged["criterion"]["value"]
 
 
-def test_random_poses_are_worse_than_the_plan_and_have_the_same_bound(tmp_path):
+def test_random_poses_are_worse_than_the_plan_and_have_the_relaxed_bound(tmp_path):
     whole = study(tmp_path, KR270, plan={"refine": False})
     made = plan(whole)
     rng = np.random.default_rng(1)
@@ -106,7 +107,10 @@ def test_random_poses_are_worse_than_the_plan_and_have_the_same_bound(tmp_path):
         pick = rng.choice(len(made.pool.candidates), 8, replace=False)
         found = evaluate(whole, visits(whole, made.pool.candidates.visit_q[pick], [0, 1]))
         assert found.bound.value > 1.05 * made.final.value
-        assert found.bound.bound == pytest.approx(made.final.bound, rel=3e-6)
+        assert found.bound.source == "relaxation", "too far from the best for branch and bound"
+        relaxed = bound_of(made.pool.objective, 8, made.pool.blocks, made.pool.blocks[:8], 1.0, repeats=True)
+        assert found.bound.bound == pytest.approx(relaxed.bound, rel=3e-6)
+        assert found.bound.bound <= made.final.bound * (1 + 3e-6)
         assert 0 < found.bound.efficiency < made.final.efficiency
 
 
@@ -202,7 +206,7 @@ def test_a_plan_measured_four_times_is_twice_as_good(tmp_path):
     once = content_of(tmp_path, csv_of(whole, q))
     often = content_of(tmp_path, csv_of(whole, np.tile(q, (4, 1))))
     assert often["criterion"]["value"] == pytest.approx(once["criterion"]["value"] / 4, rel=1e-9)
-    assert often["efficiency"] == pytest.approx(once["efficiency"], rel=1e-5)
+    assert often["efficiency"] == pytest.approx(once["efficiency"], rel=0.02), "branch and bound may raise one of them"
     np.testing.assert_allclose(often["std"], np.array(once["std"]) / 2, rtol=1e-9)
 
 

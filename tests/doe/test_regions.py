@@ -119,7 +119,7 @@ def test_points_keep_to_limits_and_apart_from_the_arm(tmp_path):
     q = np.stack([pose.q for pose in poses])
     assert len(q) == 200
     assert ((q >= whole.robot.lower) & (q <= whole.robot.upper)).all()
-    assert not screen(whole).capsules.touching(forward(whole.robot, q)).any()
+    assert not screen(whole).tests["self_collision"](q, forward(whole.robot, q)).any()
     wrench = np.stack([pose.wrench for pose in poses])
     assert (np.abs(wrench) <= 100).all()
     assert (np.abs(wrench.mean(axis=0)) < 10).all(), "spread over the box"
@@ -146,10 +146,22 @@ def test_a_region_in_which_the_arm_touches_itself_is_infeasible(tmp_path):
     """The forearm is folded back onto the column; with thinner links it would pass."""
     folded = {"joints_min_deg": [11, -31, 153, -54, -82, -39], "joints_max_deg": [11, -29, 155, -52, -80, -37]}
     whole = study(tmp_path, KR270, test_regions=[{**BOX, **folded}], constraints={"link_radius_mm": 250.0})
-    with pytest.raises(Infeasible, match=r"\[\[test_regions\]\] 1: the arm touches itself in all"):
+    with pytest.raises(Infeasible, match=r"\[\[test_regions\]\] 1: the arm touches itself or the cell in all"):
         with_regions(whole)
     thin = study(tmp_path, KR270, test_regions=[{**BOX, **folded}], constraints={"link_radius_mm": 100.0})
     assert len(with_regions(thin).test_poses) == 2 + 64
+
+
+def test_poses_behind_a_wall_are_no_test_poses(tmp_path):
+    """Half of the region lies behind a wall that the arm would have to pass."""
+    free = study(tmp_path, KR270, test_regions=[BOX])
+    reach = np.stack([forward(free.robot, pose.q[None]).flange_origin[0] for pose in poses_in(free, 0)])
+    middle = float(np.median(reach[:, 0])) * 1e3
+    wall = {"name": "wall", "point_mm": [middle, 0.0, 0.0], "normal": [-1.0, 0.0, 0.0]}
+    kept = poses_in(study(tmp_path, KR270, test_regions=[BOX], constraints={"walls": [wall]}), 0)
+    ends = np.stack([forward(free.robot, pose.q[None]).flange_origin[0] for pose in kept])
+    assert 0 < len(kept)
+    assert ends[:, 0].max() < middle / 1e3
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,140 @@
+"""Move all experiments of a plan at once off the grid, whatever their blocks are made of.
+
+Minimises the criterion over everything that varies continuously, by L-BFGS-B (Byrd, Lu, Nocedal and Zhu 1995) with
+differences of each experiment's own block; what lies outside costs a penalty that grows with the distance. For blocks
+with symbolic derivatives `doe.refine` does the same with hard constraints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from doe.ascent import Region, neighbours, pulled_back
+from doe.criteria import Criterion, Mean
+from doe.problem import make_problem
+from identify.arrays import Floats, Ints
+from identify.errors import NotIdentifiable
+from identify.threads import one_thread
+
+__all__ = ["polish"]
+
+ASIDE = 0.002  # of the scale: the search starts this far from the plan, so that it leaves saddle points and parts twins
+SMOOTHING = (1e-2, 1e-3)  # of the criteria that are not smooth, one run each
+DEPTHS = (1e2, 1e4)  # what the square of the excess (m) costs in units of the logarithm, one run each
+FORBIDDEN = 10.0  # what an experiment costs that may not be measured at all, in units of the logarithm
+ITERATIONS = 200
+SHARES = 0.5 ** np.arange(6)
+
+
+def polish(region: Region, x: Floats, choice: Ints, target: Floats | None, criterion: str) -> tuple[Floats, int]:
+    """A better plan near a given one.
+
+    Args:
+        region: What may be measured.
+        x: (n, d) what varies continuously; all may be measured.
+        choice: (n,) what does not; it stays.
+        target: As for `doe.exact.exact_design`.
+        criterion: test_pose, A, D, E or G.
+
+    Returns:
+        (n, d) of a plan that may be measured and is not worse, and the number of iterations.
+    """
+    with one_thread():
+        try:
+            goal = _goal(region, x, choice, target, criterion)
+        except NotIdentifiable:  # nothing to follow
+            return x, 0
+        found, steps = goal.run(x)
+        before = goal.value(x)
+        found = pulled_back(region, found, x, choice)
+        for share in SHARES:
+            moved = np.clip(x + share * (found - x), region.lower, region.upper)
+            if (region.excess(moved, choice) <= 0.0).all() and goal.value(moved) < before:
+                return moved, steps
+    return x, steps
+
+
+def _goal(region: Region, x: Floats, choice: Ints, target: Floats | None, criterion: str) -> _Goal:
+    """The criterion in coordinates where the information of the given plan is I."""
+    problem = make_problem(region.blocks(x, choice), target, criterion, None, None, None)
+    return _Goal(region, choice, problem.criterion, problem.space.basis)
+
+
+@dataclass(frozen=True, eq=False)
+class _Goal:
+    """The criterion of a plan as a function of what varies.
+
+    Attributes:
+        region: What may be measured.
+        choice: (n,).
+        criterion: In the coordinates of ``basis``.
+        basis: (p, rank).
+    """
+
+    region: Region
+    choice: Ints
+    criterion: Criterion
+    basis: Floats
+
+    def value(self, x: Floats) -> float:
+        """The criterion of a plan (n, d); infinite where its information is singular."""
+        try:
+            return self.criterion.value(_information(self.region.blocks(x, self.choice) @ self.basis))
+        except np.linalg.LinAlgError:
+            return float("inf")
+
+    def run(self, x: Floats) -> tuple[Floats, int]:
+        """L-BFGS-B from a plan: where it ends (n, d), and its iterations."""
+        from scipy.optimize import Bounds, minimize
+
+        scale = np.where(self.region.scale > 0.0, self.region.scale, 1.0)
+        bounds = Bounds(*(np.tile(ends / scale, len(x)) for ends in (self.region.lower, self.region.upper)))
+        aside = np.random.default_rng(0).uniform(-ASIDE, ASIDE, x.shape) * self.region.scale
+        at, steps = np.clip(x + aside, self.region.lower, self.region.upper), 0
+        for share, depth in zip((0.0, 0.0) if self.criterion.smooth else SMOOTHING, DEPTHS, strict=True):
+            unit = self.criterion.unit(_information(self.region.blocks(at, self.choice) @ self.basis))
+            ended = minimize(
+                lambda flat, m=share * unit, u=unit, d=depth: self._rated(flat.reshape(x.shape) * scale, m, u, d),
+                (at / scale).ravel(),
+                jac=True,
+                method="L-BFGS-B",
+                bounds=bounds,
+                options={"maxiter": ITERATIONS, "maxcor": 20, "ftol": 1e-10, "gtol": 1e-7},
+            )
+            at, steps = ended.x.reshape(x.shape) * scale, steps + int(ended.nit)
+        return at, steps
+
+    def _rated(self, x: Floats, mu: float, unit: float, depth: float) -> tuple[float, Floats]:
+        """What is minimised, and its derivative (n d,) in units of scale; ``unit`` is the size of the objective."""
+        points, step = neighbours(self.region, x)
+        count, around, size = points.shape
+        choice = np.repeat(self.choice, around)
+        flat = points.reshape(-1, size)
+        rows = (self.region.blocks(flat, choice) @ self.basis).reshape(count, around, -1, self.basis.shape[1])
+        excess = self.region.excess(flat, choice).reshape(count, around)
+        penalty = np.minimum(depth * excess**2, FORBIDDEN)
+        own = rows[:, 0]
+        try:
+            information = _information(own)
+            local = self.criterion.local(information, mu, None)
+            height = self.criterion.objective(information, mu)
+        except np.linalg.LinAlgError:
+            return 1e3, np.zeros(x.size)
+        if isinstance(self.criterion, Mean):
+            height, unit = float(np.log(height)), height
+        else:
+            height /= unit
+        pull = -2.0 / unit * (own @ local.certificate.factor) @ local.certificate.factor.T
+        slope = np.einsum("nkp,njkp->nj", pull, rows[:, 1:] - own[:, None])
+        slope = (slope + penalty[:, 1:] - penalty[:, :1]) / step
+        slope = np.where(self.region.scale > 0.0, slope, 0.0)
+        return height + float(penalty[:, 0].sum()), slope.ravel()
+
+
+def _information(rows: Floats) -> Floats:
+    """Sum of the information of blocks (n, k, p) -> (p, p)."""
+    flat = rows.reshape(-1, rows.shape[2])
+    product: Floats = flat.T @ flat
+    return product
