@@ -34,8 +34,18 @@ class Bound:
         return min(self.bound / self.value, 1.0) if np.isfinite(self.value) else 0.0
 
 
-def bound_of(aim: Objective, count: int, pool: Floats, own: Floats, value: float, *, repeats: bool) -> Bound:
-    """Proven lower bound for ``count`` experiments.
+def bound_of(
+    aim: Objective,
+    count: int,
+    pool: Floats,
+    own: Floats,
+    value: float,
+    *,
+    repeats: bool,
+    costs: tuple[Floats, Floats] | None = None,
+    budget: float | None = None,
+) -> Bound:
+    """Proven lower bound for ``count`` experiments, or for all that a budget pays for.
 
     Args:
         aim: The criterion.
@@ -44,16 +54,23 @@ def bound_of(aim: Objective, count: int, pool: Floats, own: Floats, value: float
         own: (n, k', p) blocks of the plan itself, which count as candidates too.
         value: What the plan reaches.
         repeats: One candidate may be measured several times.
+        costs: (N,) and (n,) costs of both, together with ``budget``.
+        budget: Largest sum of costs, in place of the number of experiments.
     """
-    blocks = joined(pool, own[~_among(pool, own, repeats=repeats)])
-    cap = None if repeats else 1.0 / count
+    new = ~_among(pool, own, repeats=repeats)
+    blocks, prices, amount = joined(pool, own[new]), None, float(count)
+    if costs is not None and budget is not None:
+        prices, amount = np.concatenate([costs[0], costs[1][new]]), budget
+    cap = None if repeats else 1.0 / amount
+    if cap is not None and prices is not None:  # a budget that pays for everything
+        cap = max(cap, (1.0 + 1e-6) / float(prices.sum()))
     try:
-        relaxed = approximate_design(blocks, aim.target(), criterion=aim.criterion, max_weight=cap)
+        relaxed = approximate_design(blocks, aim.target(), criterion=aim.criterion, max_weight=cap, costs=prices)
     except NoConvergence as error:  # its bound is proven all the same, only not the tightest
         if not isinstance(error.best, ApproximateDesign):
             raise
         relaxed = error.best
-    return Bound(value, min(relaxed.bound / count, value))
+    return Bound(value, min(relaxed.bound / amount, value))
 
 
 def _among(pool: Floats, own: Floats, *, repeats: bool) -> np.ndarray:

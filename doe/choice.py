@@ -15,6 +15,7 @@ from doe.information import information_of, standard_deviations
 from doe.objective import Objective
 from doe.observations import Observer
 from doe.pool import Pool
+from doe.purse import Purse
 from doe.refine import Others, Refinement, refine
 from identify.arrays import Floats, Ints
 
@@ -46,17 +47,18 @@ class Choice:
     notes: tuple[str, ...]
 
 
-def choose(pool: Pool, count: int, seed: int) -> Choice:
-    """Search ``count`` experiments on the grid and refine them."""
+def choose(pool: Pool, count: int | None, seed: int, *, purse: Purse | None = None) -> Choice:
+    """Search ``count`` experiments, or what the purse pays for, on the grid and refine them."""
     study, aim = pool.observer.study, pool.objective
-    log.info("%d candidates, %d parameters; searching %d experiments", len(pool.blocks), aim.size, count)
-    chosen, best, notes = guarded_search(pool, count, seed)
+    log.info("%d candidates, %d parameters; searching %s experiments",
+             len(pool.blocks), aim.size, "affordable" if count is None else count)  # fmt: skip
+    chosen, best, notes = guarded_search(pool, count, seed, purse=purse)
     most = None if best is None else study.plan.max_std_percent / 100.0 * best
     q, loads = pool.candidates.visit_q[chosen], pool.candidates.visit_loads[chosen]
     grid = own = pool.blocks[chosen]
     refinement = None
     if study.plan.refine:
-        log.info("refining the joint angles of %d experiments", count)
+        log.info("refining the joint angles of %d experiments", len(q))
         refined, moved, refinement = off_grid(pool.observer, pool.known.kept, aim, chosen, q, loads, most)
         if aim.value(information_of(moved)) < aim.value(information_of(grid)):
             q, own = refined, moved

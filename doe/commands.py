@@ -23,11 +23,11 @@ from doe.judgement import (
     weakest,
 )
 from doe.objective import Objective
+from doe.order_report import approach_json, budget_json, budget_lines, order_json, order_lines
 from doe.plan import Plan, plan
 from identify.arrays import Floats
 from identify.commands import Outcome
 from identify.config import load_study
-from identify.experiment import full_experiment
 from identify.study import Study
 from identify.tables import load_plan, plan_csv, plan_experiment
 
@@ -49,12 +49,16 @@ def run_plan(study_file: Path, *, seed: int) -> Outcome:
         "joint_only": None if simple is None else {"value": simple.value, "times": simple.times, "rank": simple.rank},
         "std": standard_deviations(made.information),
         **counts(made.pool.candidates),
-        "time_s": None,
+        "time_s": made.schedule.time,
+        "order": order_json(made.schedule),
+        "references": "own_visits" if made.pool.observer.own_visits else "same_visit",
+        "approach_deg": approach_json(study),
+        "budget": budget_json(made),
         "notes": list(made.notes),
     }
-    experiment = full_experiment(made.q, made.visit_loads, study.loads, study.markers)
-    tables = {"plan.csv": plan_csv(experiment, study)}
-    return Outcome("plan", content, study.inputs, tables, judgement_lines(content, len(made.q)))
+    tables = {"plan.csv": plan_csv(made.schedule.conditions(study), study)}
+    lines = (*judgement_lines(content, len(made.q)), *order_lines(made.schedule), *budget_lines(made))
+    return Outcome("plan", content, study.inputs, tables, lines)
 
 
 def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:

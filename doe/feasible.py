@@ -7,6 +7,9 @@ A visit is one pose and the loads that are read there. Its reason is the first o
   floor. Points whose height no joint can change (the base column) are left out, see `floor_points`.
 * *self_collision*: capsules around the links keep apart, see `doe.capsules`.
 * *payload*: hung mass and tool within the stated share of the rated payload, where that is known.
+
+Under ``[plan] approach = "same"`` the place from which a pose is approached (every joint lower) must keep to limits,
+floor and self-collision too.
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ __all__ = [
     "Feasibility",
     "FloorPoints",
     "Screen",
+    "approach_of",
     "check",
     "count_reasons",
     "floor_points",
@@ -124,17 +128,22 @@ class Screen:
         Returns:
             (N, loads) index into `REASONS`, or `FEASIBLE`.
         """
-        parts = [self._chunk(q[start : start + _CHUNK]) for start in range(0, len(q), _CHUNK)]
+        parts = [self._approached(q[start : start + _CHUNK]) for start in range(0, len(q), _CHUNK)]
         return np.concatenate(parts) if parts else np.empty((0, len(self.carried)), dtype=np.int8)
 
+    def _approached(self, q: Floats) -> np.ndarray:
+        """`codes` of a few poses, and of where they are approached from."""
+        codes, below = self._chunk(q), approach_of(self.study)
+        return np.minimum(codes, self._chunk(q - below)) if below.any() else codes
+
     def _chunk(self, q: Floats) -> np.ndarray:
-        """`codes` of a few poses; the later a check is written, the less it counts."""
+        """`codes` of a few poses by themselves; the later a check is written, the less it counts."""
         frames = forward(self.study.robot, q)
         codes = np.full((len(q), len(self.carried)), FEASIBLE, dtype=np.int8)
         codes[:, ~self.carried] = REASONS.index("payload")
         codes[self._colliding(frames)] = REASONS.index("self_collision")
         codes[self._below(frames)] = REASONS.index("floor")
-        lower, upper = joint_range(self.study)
+        lower, upper = _limits(self.study)
         outside = (q < lower - _ROUNDING) | (q > upper + _ROUNDING)
         codes[outside.any(axis=1)] = REASONS.index("joint_limits")
         return codes
@@ -190,6 +199,23 @@ def count_reasons(codes: np.ndarray) -> dict[str, int]:
 
 
 def joint_range(study: Study) -> tuple[Floats, Floats]:
+    """(n,) lower and (n,) upper ends of poses: joint limits less the margin, and room to come from below; rad or m.
+
+    Infinite if unknown.
+    """
+    lower, upper = _limits(study)
+    return lower + approach_of(study), upper
+
+
+def approach_of(study: Study) -> Floats:
+    """(n,) how far below a pose each joint comes from, rad or m; zero if poses are approached from anywhere."""
+    plan = study.plan
+    if plan.approach == "any":
+        return np.zeros(study.robot.n)
+    return np.where(study.robot.prismatic, plan.approach_slide, plan.approach_turn)
+
+
+def _limits(study: Study) -> tuple[Floats, Floats]:
     """(n,) lower and (n,) upper joint limits less the margin, rad or m; infinite if unknown."""
     robot, constraints = study.robot, study.constraints
     margin = np.where(robot.prismatic, constraints.joint_margin_slide, constraints.joint_margin)

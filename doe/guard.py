@@ -9,6 +9,7 @@ import numpy as np
 from doe.exact import exact_design
 from doe.information import information_of, standard_deviations
 from doe.pool import AnyPool
+from doe.purse import Purse
 from identify.arrays import Floats, Ints
 from identify.errors import Infeasible, NotIdentifiable
 
@@ -18,8 +19,17 @@ _GUARD_ROUNDS = 12
 _USUAL_PERCENT = 300.0  # the default of max_std_percent; beyond it a plan says what it does not see
 
 
-def search(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str, *, effort: str = "normal") -> Ints:
-    """Indices of the chosen candidates, repeats included.
+def search(
+    pool: AnyPool,
+    target: Floats,
+    count: int | None,
+    seed: int,
+    criterion: str,
+    *,
+    effort: str = "normal",
+    purse: Purse | None = None,
+) -> Ints:
+    """Indices of the chosen candidates, repeats included: ``count`` of them, or what the purse pays for.
 
     Raises:
         NotIdentifiable: So many experiments cannot show what the criterion needs.
@@ -27,13 +37,21 @@ def search(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str,
     asked = pool.observer
     try:
         found = exact_design(
-            pool.blocks, target, count, criterion=criterion, repeats=asked.settings.repeats, effort=effort, seed=seed
+            pool.blocks,
+            target,
+            count,
+            criterion=criterion,
+            repeats=asked.settings.repeats,
+            costs=None if purse is None else purse.costs,
+            budget=None if purse is None else purse.budget,
+            effort=effort,
+            seed=seed,
         )
     except NotIdentifiable as error:
         columns = [index for index in error.missing if isinstance(index, int)]
         names = tuple(pool.observer.names[pool.known.kept[index]] for index in columns)
         raise NotIdentifiable(
-            f"{asked.path}: [plan] {count} poses are too few: no plan of them shows "
+            f"{asked.path}: [plan] {_amount(count, purse)} are too few: no plan of them shows "
             f"{', '.join(names) or 'all parameters'}, which criterion {criterion} needs; plan more poses, more loads "
             "at each pose or more markers",
             names,
@@ -41,7 +59,9 @@ def search(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str,
     return np.repeat(np.arange(len(found.counts)), found.counts)
 
 
-def guarded_search(pool: AnyPool, count: int, seed: int) -> tuple[Ints, Floats | None, tuple[str, ...]]:
+def guarded_search(
+    pool: AnyPool, count: int | None, seed: int, *, purse: Purse | None = None
+) -> tuple[Ints, Floats | None, tuple[str, ...]]:
     """Search; where the plan sees little but the test poses, weigh the parameters' own variances in.
 
     Returns:
@@ -52,10 +72,10 @@ def guarded_search(pool: AnyPool, count: int, seed: int) -> tuple[Ints, Floats |
         Infeasible: ``max_std_percent`` cannot be met.
     """
     aim, asked = pool.objective, pool.observer
-    chosen = search(pool, aim.target(), count, seed, aim.criterion)
+    chosen = search(pool, aim.target(), count, seed, aim.criterion, purse=purse)
     if aim.criterion not in {"test_pose", "G"}:
         return chosen, None, ()
-    thorough = search(pool, np.eye(aim.size), count, seed, "A")
+    thorough = search(pool, np.eye(aim.size), count, seed, "A", purse=purse)
     best = standard_deviations(information_of(pool.blocks[thorough]))
     percent = asked.settings.max_std_percent
     name, ratio = _worst(pool, pool.blocks[chosen], best)
@@ -64,7 +84,7 @@ def guarded_search(pool: AnyPool, count: int, seed: int) -> tuple[Ints, Floats |
     unguarded = aim.value(information_of(pool.blocks[chosen]))
     share = 1e-4 * max(unguarded if np.isfinite(unguarded) else 1.0, 1e-300) / aim.size
     for _ in range(_GUARD_ROUNDS):
-        chosen = search(pool, aim.guarded(best, share), count, seed, aim.criterion, effort="low")
+        chosen = search(pool, aim.guarded(best, share), count, seed, aim.criterion, effort="low", purse=purse)
         if _worst(pool, pool.blocks[chosen], best)[1] <= percent / 100.0:
             value = aim.value(information_of(pool.blocks[chosen]))
             cost = f"costs {100 * (value / unguarded - 1):.2g} %" if np.isfinite(unguarded) else "keeps it identifiable"
@@ -75,9 +95,14 @@ def guarded_search(pool: AnyPool, count: int, seed: int) -> tuple[Ints, Floats |
             return chosen, best, (note,)
         share *= 8.0
     raise Infeasible(
-        f"{asked.path}: [plan] max_std_percent = {percent:g} cannot be met with {count} poses: the best plan for the "
-        f"test poses tells {name} {_times(ratio)}; allow more"
+        f"{asked.path}: [plan] max_std_percent = {percent:g} cannot be met with {_amount(count, purse)}: the best "
+        f"plan for the test poses tells {name} {_times(ratio)}; allow more"
     )
+
+
+def _amount(count: int | None, purse: Purse | None) -> str:
+    """How much may be measured, in words."""
+    return f"{count} poses" if purse is None else f"the poses that {purse.key} = {purse.asked:g} pays for"
 
 
 def blind_spot(pool: AnyPool, own: Floats, best: Floats) -> tuple[str, ...]:

@@ -117,7 +117,8 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
         )
     lines.append(f"criterion {criterion['name']} = {criterion['value']:.5g} {criterion['unit']}")
     lines.append(
-        f"proven: no {count} of these poses and the {content['candidates']} candidates reach less than "
+        f"proven: no {'plan within the budget' if content.get('budget') else count} of these poses and the "
+        f"{content['candidates']} candidates reach{'es' if content.get('budget') else ''} less than "
         f"{content['bound']:.5g}, so the efficiency is at least {100 * content['efficiency']:.2f} %"
     )
     if content["grid"] is not None:

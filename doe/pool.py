@@ -57,8 +57,8 @@ class Pool:
 
 def build_pool(study: Study, seed: int) -> Pool:
     """Candidates, their blocks and the objective."""
+    watching = observer(study, own_visits=study.plan.references == "own_visits")
     chosen = candidates(study, seed=seed)
-    watching = observer(study)
     blocks = watching.blocks(chosen.q[chosen.pose], chosen.visit_loads)
     known = identifiable(blocks)
     return Pool(

@@ -19,10 +19,13 @@ from doe.judgement import (
     judgement_lines,
     weakest,
 )
+from doe.order_report import order_json, order_lines, together
+from doe.schedule import Schedule
 from doe.two_arm_plan import TwoArmPlan, evaluate_both, plan_for_both, relative_accuracy
 from identify.commands import Outcome
 from identify.errors import InputError
-from identify.experiment import full_experiment
+from identify.experiment import Experiment, full_experiment
+from identify.study import Study
 from identify.tables import load_plan, plan_csv, plan_experiment
 from identify.two_arm_config import load_two_arm_study
 from identify.two_arm_study import TwoArmStudy
@@ -49,16 +52,28 @@ def run_plan_for_both(study_file: Path, *, seed: int) -> Outcome:
         "joint_only": None,
         "std": standard_deviations(made.information),
         **counts(*pool.candidates),
-        "time_s": None,
+        "time_s": together(made.schedules),
+        "order": {
+            arm.name: None if own is None else order_json(own)
+            for arm, own in zip(study.arms, made.schedules, strict=True)
+        },
         "notes": [*made.choice.notes, _APART],
     }
     tables = {
-        _plan_name(arm.name): plan_csv(
-            full_experiment(own.q, own.visit_loads, arm.study.loads, arm.study.markers), arm.study
-        )
-        for arm, own in zip(study.arms, arms, strict=True)
+        _plan_name(arm.name): plan_csv(_conditions(arm.study, own), arm.study)
+        for arm, own in zip(study.arms, made.schedules, strict=True)
     }
-    return Outcome("plan", content, study.inputs, tables, _lines(content))
+    lines = [*_lines(content)]
+    for arm, own in zip(study.arms, made.schedules, strict=True):
+        lines += [f"{arm.name}: {line}" for line in ([] if own is None else order_lines(own))]
+    return Outcome("plan", content, study.inputs, tables, tuple(lines))
+
+
+def _conditions(study: Study, ordered: Schedule | None) -> Experiment:
+    """The visits of one arm; a plan without any still has its columns."""
+    if ordered is not None:
+        return ordered.conditions(study)
+    return full_experiment(np.zeros((0, study.robot.n)), np.zeros((0, 1), dtype=np.int64), study.loads, study.markers)
 
 
 def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:

@@ -43,6 +43,7 @@ from identify.study_records import (
     plan_settings,
     reduce_settings,
     test_pose,
+    times_from,
 )
 from identify.units import DEG, MM
 
@@ -77,7 +78,7 @@ def load_study(path: str | Path) -> Study:
     problems.settle()
     if robot is None:  # a robot that cannot be had is a problem, so this is only for the type checker
         raise InputError(f"{path}: [robot] cannot be read")
-    return _study(file, path, robot, robot_file)
+    return _study(file, path, robot, robot_file, timed="times" in data)
 
 
 # ---- tables
@@ -194,10 +195,11 @@ def _robot(file: StudyFile, path: Path, problems: Problems) -> tuple[Robot | Non
 # ---- to records in SI
 
 
-def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study:
-    """The study of a file without problems."""
+def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path, *, timed: bool) -> Study:
+    """The study of a file without problems; ``timed`` if it says how long measuring takes."""
     frames, model = file.frames or FramesSection(), file.model or ModelSection()
     loads = load_cases(file.loads or [])
+    costs = {table.id: table.cost for table in file.loads or []}
     return Study(
         path=path,
         robot=robot,
@@ -221,4 +223,6 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study
             for choice, own in file.models
         ),
         inputs=(path, robot_file),
+        times=times_from(file.times) if timed and file.times is not None else None,
+        load_costs=tuple(costs.get(load.name, 0.0) for load in loads),
     )

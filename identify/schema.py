@@ -29,6 +29,7 @@ __all__ = [
     "Section",
     "StudyFile",
     "TestPoseSection",
+    "TimesSection",
     "ToolSection",
     "TrackerSection",
     "TruthSection",
@@ -94,6 +95,7 @@ class LoadSection(Section):
     attach_std_mm: NotNegative = 0.0
     wrench: Wrench = [0.0] * 6
     frame: Axes = "world"
+    cost: NotNegative = 0.0
 
 
 class TrackerSection(Section):
@@ -177,6 +179,24 @@ class PlanSection(TwoArmPlanSection):
     loads: Annotated[list[Id], Field(min_length=1)] | None = None
     loads_per_pose: Count = 1
     reference_rows: Switch = True
+    references: Literal["same_visit", "own_visits", "auto"] = "same_visit"
+    approach: Literal["any", "same"] = "any"
+    approach_deg: Positive = 2.0
+    approach_mm: Positive = 2.0
+    time_budget_s: Positive | None = None
+    cost_budget: Positive | None = None
+    pose_cost: NotNegative = 0.0
+
+
+class TimesSection(Section):
+    """``[times]``."""
+
+    pose_s: NotNegative = 0.0
+    reading_s: NotNegative = 0.0
+    load_change_s: NotNegative = 0.0
+    speed_deg_s: Positive | None = None
+    speed_mm_s: Positive | None = None
+    start_s: NotNegative = 0.0
 
 
 class ArmSection(Section):
@@ -245,6 +265,7 @@ STUDY_SECTIONS: dict[str, tuple[type[Section], bool]] = {
     "plan": (PlanSection, False),
     "constraints": (ConstraintsSection, False),
     "reduce": (ReduceSection, False),
+    "times": (TimesSection, False),
 }
 
 
@@ -264,5 +285,6 @@ class StudyFile:
     plan: PlanSection | None
     constraints: ConstraintsSection | None
     reduce: ReduceSection | None
+    times: TimesSection | None
     options: Mapping[str, Mapping[str, Any]]
     models: list[tuple[ModelChoiceSection, Mapping[str, Mapping[str, Any]]]]

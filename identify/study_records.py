@@ -19,12 +19,22 @@ from identify.schema import (
     PlanSection,
     PointSection,
     ReduceSection,
+    TimesSection,
     TrackerSection,
 )
-from identify.study import Constraints, Noise, PlanSettings, ReduceSettings, TestPose, Tracker
+from identify.study import Constraints, Noise, PlanSettings, ReduceSettings, TestPose, Times, Tracker
 from identify.units import DEG, GPA, MM, UM, URAD
 
-__all__ = ["constraints", "load_cases", "markers", "noise_from", "plan_settings", "reduce_settings", "test_pose"]
+__all__ = [
+    "constraints",
+    "load_cases",
+    "markers",
+    "noise_from",
+    "plan_settings",
+    "reduce_settings",
+    "test_pose",
+    "times_from",
+]
 
 
 def markers(on_flange: PointSection | None, on_base: PointSection | None) -> Markers:
@@ -103,7 +113,8 @@ def test_pose(table: ArmPoseSection, robot: Robot, weight: float) -> TestPose:
 
 def plan_settings(table: PlanSection, loads: Sequence[LoadCase]) -> PlanSettings:
     """What the plan is asked for, in SI."""
-    poses = 15 if table.poses is None and table.tolerance_mm is None else table.poses
+    aims = (table.poses, table.tolerance_mm, table.time_budget_s, table.cost_budget)
+    poses = 15 if all(aim is None for aim in aims) else table.poses
     loaded = [load.name for load in loads if not load.unloaded]
     return PlanSettings(
         poses=poses,
@@ -117,6 +128,25 @@ def plan_settings(table: PlanSection, loads: Sequence[LoadCase]) -> PlanSettings
         reference_rows=table.reference_rows,
         repeats=table.repeats,
         max_std_percent=table.max_std_percent,
+        references=table.references,
+        approach=table.approach,
+        approach_turn=table.approach_deg * DEG,
+        approach_slide=table.approach_mm * MM,
+        time_budget=table.time_budget_s,
+        cost_budget=table.cost_budget,
+        pose_cost=table.pose_cost,
+    )
+
+
+def times_from(table: TimesSection) -> Times:
+    """How long measuring takes, in SI."""
+    return Times(
+        pose=table.pose_s,
+        reading=table.reading_s,
+        load_change=table.load_change_s,
+        speed=np.inf if table.speed_deg_s is None else table.speed_deg_s * DEG,
+        speed_slide=np.inf if table.speed_mm_s is None else table.speed_mm_s * MM,
+        start=table.start_s,
     )
 
 

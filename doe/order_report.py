@@ -1,0 +1,94 @@
+"""What plan.json says about order, times and budget, and the same in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from doe.drift import Leftover
+from doe.feasible import approach_of
+from doe.plan import Plan
+from doe.schedule import STEP, Schedule
+from identify.arrays import Floats
+from identify.study import Study
+
+__all__ = ["approach_json", "budget_json", "budget_lines", "order_json", "order_lines", "together"]
+
+
+def order_json(ordered: Schedule) -> dict[str, Any]:
+    """Order of a plan, for plan.json."""
+    return {
+        "visits": len(ordered.q),
+        "lifts": ordered.lifts,
+        "lifts_fewest": ordered.fewest.lifts,
+        "lifts_proven": ordered.fewest.proven,
+        "travel_deg": ordered.travel_deg,
+        "travel_s": ordered.travel_s if ordered.stated else None,
+        "detours": ordered.detours,
+        "reading_times": "stated" if ordered.stated else f"equal steps of {STEP:g} s",
+        "drift_leftover": _leftover_json(ordered.left, ordered.unit),
+        "as_found": {
+            "lifts": ordered.lifts_as_found,
+            "drift_leftover": _leftover_json(ordered.as_found, ordered.unit),
+        },
+    }
+
+
+def _leftover_json(left: Leftover, unit: str) -> dict[str, Any]:
+    """What a drift leaves."""
+    return {"unit": unit, "per_mm_h": left.shift, "per_mrad_h": left.turn}
+
+
+def order_lines(ordered: Schedule) -> tuple[str, ...]:
+    """The order of a plan for people."""
+    lines = [f"crane operations: {ordered.lifts} (as chosen it would take {ordered.lifts_as_found})"]
+    if ordered.fewest.proven and ordered.lifts == ordered.fewest.lifts:
+        lines[0] += ", proven that fewer are not possible"
+    if ordered.time is not None:
+        lines.append(f"time to measure it: {_clock(ordered.time)}, {ordered.travel_s:.0f} s of it between poses")
+    where = "at the test poses" if ordered.unit == "mm" else "of the parameters"
+    lines.append(
+        f"a drift of 1 mm/h leaves {ordered.left.shift:.2g} {ordered.unit} {where}, one of 1 mrad/h "
+        f"{ordered.left.turn:.2g} (unloaded state always first: {ordered.as_found.shift:.2g} and "
+        f"{ordered.as_found.turn:.2g})"
+    )
+    return tuple(lines)
+
+
+def _clock(seconds: float) -> str:
+    """A time in hours and minutes."""
+    hours, minutes = divmod(round(seconds / 60.0), 60)
+    return f"{hours} h {minutes:02d} min"
+
+
+def approach_json(study: Study) -> Floats | None:
+    """(n,) how far each joint comes from below, deg, or mm where it slides; None if from anywhere."""
+    return None if study.plan.approach == "any" else approach_of(study) / study.joint_units
+
+
+def budget_json(made: Plan) -> dict[str, Any] | None:
+    """What a budget paid for; None without one."""
+    if made.bought is None:
+        return None
+    purse = made.bought.purse
+    return {
+        "key": purse.key,
+        "asked": purse.asked,
+        "for_experiments": purse.budget,
+        "searched": made.bought.searched,
+        "used": made.schedule.time if purse.key == "time_budget_s" else made.bought.spent,
+    }
+
+
+def budget_lines(made: Plan) -> tuple[str, ...]:
+    """The same for people."""
+    told = budget_json(made)
+    if told is None:
+        return ()
+    return (f"{told['key']} = {told['asked']:g}: the plan uses {told['used']:.6g}",)
+
+
+def together(schedules: Iterable[Schedule | None]) -> float | None:
+    """Time of several plans one after the other, s; None if a study does not say how long readings take."""
+    times = [ordered.time for ordered in schedules if ordered is not None]
+    return None if None in times else float(sum(time for time in times if time is not None))
