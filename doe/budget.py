@@ -57,12 +57,12 @@ def within_budget(pool: Pool, seed: int, scheduled: Callable[[Choice], Schedule]
     for _ in range(_ROUNDS):
         choice = choose(pool, None, seed, purse=replace(purse, budget=spend))
         ordered = scheduled(choice)
+        spent = float(prices(watching.study, choice.visit_loads, own_visits=watching.own_visits).sum())
         over = 0.0 if purse.key == "cost_budget" else (ordered.time or 0.0) - purse.asked
         if over <= _ROUNDING * purse.asked:
-            spent = prices(watching.study, choice.visit_loads, own_visits=watching.own_visits).sum()
-            return Bought(choice, ordered, purse, spend, float(spent))
+            return Bought(choice, ordered, purse, spend, spent)
         log.info("%d experiments take %.0f s too long; searching fewer", len(choice.q), over)
-        spend -= over
+        spend = spent - over
         if spend < cheapest:
             break
     raise Infeasible(

@@ -25,6 +25,7 @@ from doe.judgement import (
 from doe.objective import Objective
 from doe.order_report import approach_json, budget_json, budget_lines, order_json, order_lines
 from doe.plan import Plan, plan
+from doe.schedule import time_as_given
 from identify.arrays import Floats
 from identify.commands import Outcome
 from identify.config import load_study
@@ -79,7 +80,7 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
         "std": standard_deviations(judged.information),
         **counts(judged.candidates),
         "confusability": confusability_json(study, experiment),
-        "time_s": None,
+        "time_s": time_as_given(study, experiment),
         "notes": [],
     }
     lines = (*judgement_lines(content, judged.visits), *confusability_lines(content["confusability"]))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
-from doe.exact import exact_design
+from doe.exact import ExactDesign, exact_design
 from doe.information import information_of, standard_deviations
 from doe.pool import AnyPool
 from doe.purse import Purse
@@ -16,6 +17,7 @@ from identify.errors import Infeasible, NotIdentifiable
 __all__ = ["blind_spot", "guarded_search", "search"]
 
 _GUARD_ROUNDS = 12
+_NUMBERS = 4  # numbers of experiments that a budget is tried with, beside what the search finds itself
 _USUAL_PERCENT = 300.0  # the default of max_std_percent; beyond it a plan says what it does not see
 
 
@@ -35,11 +37,12 @@ def search(
         NotIdentifiable: So many experiments cannot show what the criterion needs.
     """
     asked = pool.observer
-    try:
-        found = exact_design(
+
+    def design(number: int | None) -> ExactDesign:
+        return exact_design(
             pool.blocks,
             target,
-            count,
+            number,
             criterion=criterion,
             repeats=asked.settings.repeats,
             costs=None if purse is None else purse.costs,
@@ -47,6 +50,9 @@ def search(
             effort=effort,
             seed=seed,
         )
+
+    try:
+        found = design(count) if purse is None or count is not None else _best_buy(design, purse, len(pool.blocks))
     except NotIdentifiable as error:
         columns = [index for index in error.missing if isinstance(index, int)]
         names = tuple(pool.observer.names[pool.known.kept[index]] for index in columns)
@@ -57,6 +63,28 @@ def search(
             names,
         ) from error
     return np.repeat(np.arange(len(found.counts)), found.counts)
+
+
+def _best_buy(design: Callable[[int | None], ExactDesign], purse: Purse, candidates: int) -> ExactDesign:
+    """The best of what a purse pays for: any number of experiments, and some numbers between dear and cheap ones.
+
+    Exchanging one experiment for one does not get from many cheap ones to fewer dear ones.
+
+    Raises:
+        NotIdentifiable: No number shows what the criterion needs.
+    """
+    least, most = (min(int(purse.budget / cost), candidates) for cost in (purse.costs.max(), purse.costs.min()))
+    between = np.unique(np.linspace(least, most, _NUMBERS).astype(np.int64)) if most > least else []
+    found: list[ExactDesign] = []
+    missed: NotIdentifiable | None = None
+    for number in (None, *(int(n) for n in between if n)):
+        try:
+            found.append(design(number))
+        except NotIdentifiable as error:
+            missed = missed or error
+    if missed is not None and not found:
+        raise missed
+    return min(found, key=lambda each: each.value)
 
 
 def guarded_search(

@@ -137,9 +137,10 @@ def fewest_lifts(kinds: tuple[ReadingOrders, ...], counts: Ints) -> Fewest:
     steps = list(_searched(kinds, left) if small else _greedy(kinds, left))
     for kind in np.flatnonzero(pairs):
         where = next(i for i, step in enumerate(steps) if step[0] == kind)
-        there = steps[where][1]
-        back = int(kinds[kind].reverse[there])
-        steps[where + 1 : where + 1] = [(int(kind), back), (int(kind), there)] * int(pairs[kind])
+        orders = kinds[kind]
+        onward = np.flatnonzero(orders.entry == orders.exit[steps[where][1]])
+        there = int(onward[np.argmin(orders.lifts[onward])])
+        steps[where + 1 : where + 1] = [(int(kind), there), (int(kind), int(orders.reverse[there]))] * int(pairs[kind])
     readings = max(kind.places.shape[1] for kind in kinds)
     proven = small and (readings <= 2 or (not pairs.any() and readings <= _ENUMERATED))
     return Fewest(_lifts_of_steps(kinds, steps), tuple(steps), proven)

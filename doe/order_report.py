@@ -12,7 +12,7 @@ from doe.schedule import STEP, Schedule
 from identify.arrays import Floats
 from identify.study import Study
 
-__all__ = ["approach_json", "budget_json", "budget_lines", "order_json", "order_lines", "together"]
+__all__ = ["approach_json", "budget_json", "budget_lines", "in_turn", "order_json", "order_lines"]
 
 
 def order_json(ordered: Schedule) -> dict[str, Any]:
@@ -23,7 +23,7 @@ def order_json(ordered: Schedule) -> dict[str, Any]:
         "lifts_fewest": ordered.fewest.lifts,
         "lifts_proven": ordered.fewest.proven,
         "travel_deg": ordered.travel_deg,
-        "travel_s": ordered.travel_s if ordered.stated else None,
+        "travel_s": None if ordered.time is None else ordered.travel_s,
         "detours": ordered.detours,
         "reading_times": "stated" if ordered.stated else f"equal steps of {STEP:g} s",
         "drift_leftover": _leftover_json(ordered.left, ordered.unit),
@@ -88,7 +88,7 @@ def budget_lines(made: Plan) -> tuple[str, ...]:
     return (f"{told['key']} = {told['asked']:g}: the plan uses {told['used']:.6g}",)
 
 
-def together(schedules: Iterable[Schedule | None]) -> float | None:
-    """Time of several plans one after the other, s; None if a study does not say how long readings take."""
-    times = [ordered.time for ordered in schedules if ordered is not None]
-    return None if None in times else float(sum(time for time in times if time is not None))
+def in_turn(times: Iterable[float | None]) -> float | None:
+    """Time of several plans one after the other, s; None if one of them is not known."""
+    known = list(times)
+    return None if None in known else float(sum(time for time in known if time is not None))

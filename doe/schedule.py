@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doe.drift import Leftover, Yardstick, drift_of_readings, leftover, typical_drift
-from doe.lifts import Fewest
+from doe.lifts import NOTHING, Fewest, lifts_of
 from doe.observations import Observer
 from doe.order import Order, Pace, Visits, as_found
 from doe.order_search import best_order
@@ -17,7 +17,7 @@ from identify.experiment import Experiment, full_experiment
 from identify.study import Study, Times
 from identify.units import HOUR
 
-__all__ = ["STEP", "Schedule", "pace_of", "schedule"]
+__all__ = ["STEP", "Schedule", "pace_of", "schedule", "time_as_given"]
 
 STEP = 60.0  # s between readings where the study does not say how long they take
 _SEED = 1  # beside the seed of the plan
@@ -33,6 +33,7 @@ class Schedule:
         experiment: (V,) which experiment of the plan each visit belongs to.
         times: (V, S) time of each reading, s.
         stated: The study says how long readings take; else they are in equal steps.
+        time: From the start to the last reading, s; None where the study has no ``[times]``.
         lifts: Crane operations from nothing hung to the last reading.
         fewest: The fewest there can be.
         travel_s: Time of all moves, s.
@@ -49,6 +50,7 @@ class Schedule:
     experiment: Ints
     times: Floats
     stated: bool
+    time: float | None
     lifts: int
     fewest: Fewest
     travel_s: float
@@ -65,11 +67,6 @@ class Schedule:
             object.__setattr__(self, key, frozen(getattr(self, key)))
         for key in ("visit_loads", "experiment"):
             object.__setattr__(self, key, frozen(getattr(self, key), np.int64))
-
-    @property
-    def time(self) -> float | None:
-        """Time from the start to the last reading, s; None where the study does not say how long readings take."""
-        return float(self.times.max()) if self.stated else None
 
     def conditions(self, study: Study) -> Experiment:
         """The visits as an experiment, with approaches and times where the study states them."""
@@ -139,6 +136,7 @@ def schedule(
         experiment=experiment[order.visit],
         times=order.times,
         stated=_tells(times),
+        time=None if times is None else float(order.times.max()) if _tells(times) else times.start + seconds,
         lifts=order.lifts,
         fewest=fewest,
         travel_s=seconds,
@@ -156,6 +154,21 @@ def pace_of(times: Times | None) -> Pace:
     if times is None or not _tells(times):
         return Pace(STEP, STEP)
     return Pace(times.pose, times.reading, times.load_change, times.start)
+
+
+def time_as_given(study: Study, experiment: Experiment) -> float | None:
+    """Time to measure visits in the order in which they stand, s; None where the study has no ``[times]``."""
+    times = study.times
+    if times is None:
+        return None
+    visit = experiment.shot_visit
+    first = np.diff(visit, prepend=-1) != 0
+    poses = experiment.q[experiment.shot_pose[first]]
+    travel = travel_between(poses, study.robot.prismatic, speed=times.speed, speed_slide=times.speed_slide)
+    states = np.where(experiment.shot_unloaded, NOTHING, experiment.shot_load)
+    reading = np.where(first, times.pose, times.reading).sum()
+    moves = travel.along(np.arange(len(poses)))[0]
+    return float(times.start + reading + moves + times.load_change * lifts_of(states))
 
 
 def _tells(times: Times | None) -> bool:

@@ -19,8 +19,8 @@ from doe.judgement import (
     judgement_lines,
     weakest,
 )
-from doe.order_report import order_json, order_lines, together
-from doe.schedule import Schedule
+from doe.order_report import approach_json, in_turn, order_json, order_lines
+from doe.schedule import Schedule, time_as_given
 from doe.two_arm_plan import TwoArmPlan, evaluate_both, plan_for_both, relative_accuracy
 from identify.commands import Outcome
 from identify.errors import InputError
@@ -52,11 +52,12 @@ def run_plan_for_both(study_file: Path, *, seed: int) -> Outcome:
         "joint_only": None,
         "std": standard_deviations(made.information),
         **counts(*pool.candidates),
-        "time_s": together(made.schedules),
+        "time_s": in_turn(own.time for own in made.schedules if own is not None),
         "order": {
             arm.name: None if own is None else order_json(own)
             for arm, own in zip(study.arms, made.schedules, strict=True)
         },
+        "approach_deg": _by_arm(study, [approach_json(arm.study) for arm in study.arms]),
         "notes": [*made.choice.notes, _APART],
     }
     tables = {
@@ -99,7 +100,7 @@ def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:
         "std": standard_deviations(judged.information),
         **counts(*judged.candidates),
         "confusability": _by_arm(study, confused),
-        "time_s": None,
+        "time_s": in_turn(time_as_given(arm.study, e) for arm, e in zip(study.arms, experiments, strict=True)),
         "notes": [],
     }
     lines = list(_lines(content))
