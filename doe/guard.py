@@ -74,10 +74,10 @@ def _best_buy(design: Callable[[int | None], ExactDesign], purse: Purse, candida
         NotIdentifiable: No number shows what the criterion needs.
     """
     least, most = (min(int(purse.budget / cost), candidates) for cost in (purse.costs.max(), purse.costs.min()))
-    between = np.unique(np.linspace(least, most, _NUMBERS).astype(np.int64)) if most > least else []
+    spread = np.linspace(least, most, _NUMBERS if most > least else 0)
     found: list[ExactDesign] = []
     missed: NotIdentifiable | None = None
-    for number in (None, *(int(n) for n in between if n)):
+    for number in (None, *sorted({int(n) for n in spread if n >= 1})):
         try:
             found.append(design(number))
         except NotIdentifiable as error:
