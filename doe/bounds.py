@@ -74,15 +74,19 @@ def bound_of(
 
 
 def _among(pool: Floats, own: Floats, *, repeats: bool) -> np.ndarray:
-    """(n,) True for blocks of ``own`` that are candidates already; without repeats a candidate stands for one only."""
+    """(n,) True for blocks of ``own`` that are candidates already; without repeats a candidate stands for one only.
+
+    Blocks are the same if their information is: the order of the readings of a visit turns the rows alone.
+    """
     known = np.zeros(len(own), dtype=bool)
-    if not len(pool) or own.shape[1:] != pool.shape[1:]:
+    if not len(pool):
         return known
     size, sizes = (np.einsum("nki,nki->n", blocks, blocks) for blocks in (own, pool))
     free = np.ones(len(pool), dtype=bool)
     for index, block in enumerate(own):
         near = np.flatnonzero(free & (np.abs(sizes - size[index]) <= _SAME * size[index]))
-        same = near[np.abs(pool[near] - block).max(axis=(1, 2), initial=0.0) <= _SAME * size[index] ** 0.5]
+        off = np.abs(pool[near].swapaxes(1, 2) @ pool[near] - block.T @ block).max(axis=(1, 2), initial=0.0)
+        same = near[off <= _SAME * size[index]]
         known[index] = len(same) > 0
         free[same[:1]] = repeats
     return known

@@ -122,18 +122,20 @@ def _proven(pool: Pool, choice: Choice, ordered: Schedule, bought: Bought | None
     purse = None if bought is None else bought.purse
     budget = None if purse is None else purse.budget
     price = (
-        none if purse is None else prices(pool.observer.study, choice.visit_loads, own_visits=pool.observer.own_visits)
+        np.zeros(count)
+        if purse is None
+        else prices(pool.observer.study, choice.visit_loads, own_visits=pool.observer.own_visits)
     )
 
     def bound(own: Floats, paid: Floats, value: float) -> Bound:
         costs = None if purse is None else (purse.costs, paid)
         return bound_of(aim, count, pool.blocks, own, value, repeats=plan_of.repeats, costs=costs, budget=budget)
 
-    grid = bound(pool.blocks[:0], none, aim.value(information_of(choice.grid)))
-    information = information_of(choice.own)
-    final = grid if choice.own is choice.grid else bound(choice.own, price, aim.value(information))
     first = np.unique(ordered.experiment, return_index=True)[1]
     place = ordered.experiment[np.sort(first)]
+    grid = bound(pool.blocks[:0], none, aim.value(information_of(choice.grid)))
+    information = information_of(choice.own)
+    final = grid if choice.own is choice.grid else bound(choice.own[place], price[place], aim.value(information))
     return Plan(
         pool,
         choice.q[place],
