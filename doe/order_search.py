@@ -3,11 +3,11 @@
 The operations are never more than the fewest there can be (`doe.lifts`). Among such orders a local search looks for one
 with a small
 
-    travel / travel_0  +  10 drift / own  +  3 drift / naive
+    travel / travel_0  +  30 drift / own  +  10 drift / naive
 
 where drift is what a typical drift of the instrument does to the result, own the error that the plan has anyway, naive
-the drift of the visits as they stand, and travel_0 the way of the order that the search starts from. A drift of a tenth
-of the plan's own error, which adds half a percent to it, is thus worth as much as the whole way.
+the drift of the visits as they stand, and travel_0 the way of the order that the search starts from. A drift of a
+thirtieth of the plan's own error is thus worth as much as the whole way.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from identify.arrays import Floats, Ints
 
 __all__ = ["best_order"]
 
-_OWN, _NAIVE = 10.0, 3.0  # weights of the drift, see above
+_OWN, _NAIVE = 30.0, 10.0  # weights of the drift, see above
 _WORK = 10_000_000  # places of orders looked at
 _BATCH = 200_000  # places of orders looked at together
 _KICKS = 20  # new starts from a disturbed order
