@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-NAMES = ("blocks", "compensation", "complete", "design", "dual", "fit", "whole")
+NAMES = ("blocks", "cell", "compensation", "complete", "design", "dual", "fit", "peers", "whole")
 
 
 def main() -> None:

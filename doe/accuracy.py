@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identify.arrays import Floats
+from identify.error_radius import radii
 from identify.kinematics import forward, jacobian
 from identify.study import Study
 from identify.units import MM
@@ -37,6 +38,10 @@ class Accuracy:
     def rms_total(self) -> float:
         """The same with the robot's pose jitter, mm."""
         return float(np.sqrt(self.weights @ np.trace(self.covariance + self.jitter, axis1=1, axis2=2)))
+
+    def radius(self, confidence: float) -> float:
+        """Radius that holds the total error with this confidence at the worst test pose, mm."""
+        return float(radii(self.covariance + self.jitter, confidence).max())
 
 
 def accuracy(study: Study, rows: Floats, covariance: Floats) -> Accuracy:

@@ -11,7 +11,7 @@ from doe.objective import Objective
 from identify.arrays import Floats
 from identify.errors import NoConvergence
 
-__all__ = ["Bound", "bound_of", "joined"]
+__all__ = ["Bound", "among", "bound_of", "joined", "relaxed"]
 
 _SAME = 1e-9  # blocks that differ by less are those of one pose
 
@@ -42,6 +42,7 @@ def bound_of(
     value: float,
     *,
     repeats: bool,
+    prior: Floats | None = None,
     costs: tuple[Floats, Floats] | None = None,
     budget: float | None = None,
 ) -> Bound:
@@ -49,31 +50,57 @@ def bound_of(
 
     Args:
         aim: The criterion.
-        count: Number of experiments.
+        count: Number of experiments; with none the value is the bound.
         pool: (N, k, p) blocks of the candidates.
         own: (n, k', p) blocks of the plan itself, which count as candidates too.
         value: What the plan reaches.
         repeats: One candidate may be measured several times.
+        prior: (p, p) information that is there already, in full.
         costs: (N,) and (n,) costs of both, together with ``budget``.
         budget: Largest sum of costs, in place of the number of experiments.
     """
-    new = ~_among(pool, own, repeats=repeats)
+    if not count:
+        return Bound(value, value)
+    new = ~among(pool, own, repeats=repeats)
     blocks, prices, amount = joined(pool, own[new]), None, float(count)
     if costs is not None and budget is not None:
         prices, amount = np.concatenate([costs[0], costs[1][new]]), budget
+    design = relaxed(aim, amount, blocks, repeats=repeats, prior=prior, costs=prices)
+    return Bound(value, min(design.bound / amount, value))
+
+
+def relaxed(
+    aim: Objective, amount: float, blocks: Floats, *, repeats: bool, prior: Floats | None, costs: Floats | None = None
+) -> ApproximateDesign:
+    """The best weights of (N, k, p) candidates.
+
+    Args:
+        aim: The criterion.
+        amount: Number of experiments, or the budget where there are costs.
+        blocks: (N, k, p) of the candidates.
+        repeats: One candidate may be measured several times.
+        prior: (p, p) information that is there already, in full.
+        costs: (N,) of the candidates.
+    """
     cap = None if repeats else 1.0 / amount
-    if cap is not None and prices is not None:  # a budget that pays for everything
-        cap = max(cap, (1.0 + 1e-6) / float(prices.sum()))
+    if cap is not None and costs is not None:  # a budget that pays for everything
+        cap = max(cap, (1.0 + 1e-6) / float(costs.sum()))
     try:
-        relaxed = approximate_design(blocks, aim.target(), criterion=aim.criterion, max_weight=cap, costs=prices)
+        return approximate_design(
+            blocks,
+            aim.target(),
+            criterion=aim.criterion,
+            max_weight=cap,
+            costs=costs,
+            prior=None if prior is None else prior / amount,
+        )
     except NoConvergence as error:  # its bound is proven all the same, only not the tightest
         if not isinstance(error.best, ApproximateDesign):
             raise
-        relaxed = error.best
-    return Bound(value, min(relaxed.bound / amount, value))
+        return error.best
 
 
-def _among(pool: Floats, own: Floats, *, repeats: bool) -> np.ndarray:
+def among(pool: Floats, own: Floats, *, repeats: bool) -> np.ndarray:
     """(n,) True for blocks of ``own`` that are candidates already; without repeats a candidate stands for one only.
 
     Blocks are the same if their information is: the order of the readings of a visit turns the rows alone.

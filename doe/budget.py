@@ -26,20 +26,20 @@ class Bought:
 
     Attributes:
         choice: The experiments.
-        schedule: Their order.
+        schedule: Their order; None without any.
         purse: What might have been spent.
         searched: The budget for experiments with which they were found; the rest goes into travel and crane.
         spent: Their costs together.
     """
 
     choice: Choice
-    schedule: Schedule
+    schedule: Schedule | None
     purse: Purse
     searched: float
     spent: float
 
 
-def within_budget(pool: Pool, seed: int, scheduled: Callable[[Choice], Schedule]) -> Bought:
+def within_budget(pool: Pool, seed: int, scheduled: Callable[[Choice], Schedule | None]) -> Bought:
     """Search with the whole budget, then with less and less until the ordered plan fits.
 
     Args:
@@ -58,7 +58,7 @@ def within_budget(pool: Pool, seed: int, scheduled: Callable[[Choice], Schedule]
         choice = choose(pool, None, seed, purse=replace(purse, budget=spend))
         ordered = scheduled(choice)
         spent = float(prices(watching.study, choice.visit_loads, own_visits=watching.own_visits).sum())
-        over = 0.0 if purse.key == "cost_budget" else (ordered.time or 0.0) - purse.asked
+        over = 0.0 if purse.key == "cost_budget" else ((ordered and ordered.time) or 0.0) - purse.asked
         if over <= _ROUNDING * purse.asked:
             return Bought(choice, ordered, purse, spend, spent)
         log.info("%d experiments take %.0f s too long; searching fewer", len(choice.q), over)

@@ -9,13 +9,14 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from types import MappingProxyType
 
 import numpy as np
 
+from doe.blame import REMEDIES, blame
 from doe.feasible import FEASIBLE, Screen, count_reasons, joint_range, screen
 from identify.arrays import Floats, Ints, frozen
 from identify.errors import Infeasible, InputError
@@ -32,13 +33,7 @@ _CELLS = 2**22  # most pose-load pairs of one batch
 _DRAWS = 64  # poses drawn for each one wanted before the search gives up
 _FEWEST = 1024  # wanted poses that the search is made for at least
 _MOST_CHOICES = 100_000  # choices of loads at one pose
-
-_REMEDIES = {
-    "joint_limits": "smaller joint margins",
-    "floor": "a lower floor_mm, a load that hangs less far below the flange",
-    "self_collision": "a smaller link_radius_mm, or self_collision = false",
-    "payload": "lighter loads or a larger payload_share",
-}
+_BLAMED = 512  # poses that tell which constraint is to blame
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +46,7 @@ class Candidates:
         visit_loads: (N, L) loads of each candidate in the order of reading, the unloaded state first where it is read.
         drawn: Candidates looked at: N and the rejected ones.
         rejected: Number of rejected candidates by the first reason against them.
-        unchecked: Pairs of capsules that touch in every pose and were not checked, by name.
+        unchecked: Pairs of links, or of load and link, that touch in every pose and were not checked, by name.
     """
 
     q: Floats
@@ -79,7 +74,7 @@ class Candidates:
         return q
 
 
-def candidates(study: Study, *, seed: int) -> Candidates:
+def candidates(study: Study, *, seed: int, warn: bool = True) -> Candidates:
     """Draw the candidates of a study: at most ``plan.candidates``, but all choices of loads of at least one pose.
 
     Poses come from one scrambled Sobol sequence, so the same seed gives the same candidates, and more candidates
@@ -88,6 +83,7 @@ def candidates(study: Study, *, seed: int) -> Candidates:
     Args:
         study: The study.
         seed: Seed of the scrambling.
+        warn: Say where fewer than wanted were found, and what is not checked.
 
     Raises:
         InputError: A joint has no limits or no range, or the loads do not allow what the plan asks for.
@@ -96,16 +92,20 @@ def candidates(study: Study, *, seed: int) -> Candidates:
     choices = load_choices(study)
     lower, upper = sampled_range(study)
     tests = screen(study)
-    if tests.capsules.always:
+    if warn and tests.gaps.always:
         _log.warning(
-            "%s: these links touch in every pose and are not checked against each other: %s",
-            study.path, "; ".join(tests.capsules.always),
+            "%s: these touch in every pose and are not checked against each other: %s",
+            study.path, "; ".join(tests.gaps.always),
         )  # fmt: skip
     poses = max(study.plan.candidates // len(choices), 1)
     found = _search(tests, choices, (lower, upper), poses, seed)
     if not len(found):
-        raise Infeasible(f"{study.path}: none of {found.drawn} drawn candidates may be measured: {_why(found)}")
-    if len(found) < poses * len(choices) and found.drawn >= _most(poses) * len(choices):
+        culprit = blame(tests, _draws(study, (lower, upper), seed)(_BLAMED), choices)
+        raise Infeasible(
+            f"{study.path}: none of {found.drawn} drawn candidates may be measured: {_why(found)}. Each constraint on "
+            f"its own: {culprit}"
+        )
+    if warn and len(found) < poses * len(choices) and found.drawn >= _most(poses) * len(choices):
         _log.warning(
             "%s: only %d of %d candidates found among %d drawn: %s",
             study.path, len(found), poses * len(choices), found.drawn, _why(found),
@@ -195,22 +195,14 @@ def load_choices(study: Study) -> Ints:
 
 def _search(tests: Screen, choices: Ints, ends: tuple[Floats, Floats], poses: int, seed: int) -> Candidates:
     """Draw poses until there are enough candidates or the search has to stop."""
-    from scipy.stats import qmc
-
-    study, (lower, upper) = tests.study, ends
-    sequence = qmc.Sobol(study.robot.n, scramble=True, seed=np.random.default_rng(seed))
+    study, draw = tests.study, _draws(tests.study, ends, seed)
     largest = min(_BATCH, _power_of_two(max(_CELLS // choices.size, 1)))
     batch = min(_power_of_two(poses), largest)
     parts: list[tuple[Floats, Ints, Ints]] = []
     rejected: Counter[str] = Counter()
     drawn, stood, room, enough = 0, 0, max(study.plan.candidates, 1), False
-    stops = _stops(study)
     while not enough and drawn < _most(poses):
-        share = sequence.random(batch)
-        q = lower + (upper - lower) * share
-        for joint, values in stops.items():
-            q[:, joint] = values[(share[:, joint] * len(values)).astype(np.int64)]
-        q = rounded(study, q)
+        q = draw(batch)
         codes = tests.codes(q)[:, choices].min(axis=2)
         taken, enough = _taken((codes == FEASIBLE).sum(axis=1), room, stood == 0)
         pose, choice = np.nonzero(codes[:taken] == FEASIBLE)
@@ -220,7 +212,24 @@ def _search(tests: Screen, choices: Ints, ends: tuple[Floats, Floats], poses: in
         drawn, stood, room = drawn + taken, stood + len(used), room - len(choice)
         batch = min(2 * batch, largest)
     kept_q, pose, choice = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    return Candidates(kept_q, pose, choices[choice], drawn * len(choices), rejected, tests.capsules.always)
+    return Candidates(kept_q, pose, choices[choice], drawn * len(choices), rejected, tests.gaps.always)
+
+
+def _draws(study: Study, ends: tuple[Floats, Floats], seed: int) -> Callable[[int], Floats]:
+    """The next (B, n) poses of the sequence, as a plan file holds them, for a number B."""
+    from scipy.stats import qmc
+
+    (lower, upper), stops = ends, _stops(study)
+    sequence = qmc.Sobol(study.robot.n, scramble=True, seed=np.random.default_rng(seed))
+
+    def draw(count: int) -> Floats:
+        share = sequence.random(count)
+        q = lower + (upper - lower) * share
+        for joint, values in stops.items():
+            q[:, joint] = values[(share[:, joint] * len(values)).astype(np.int64)]
+        return rounded(study, q)
+
+    return draw
 
 
 def _stops(study: Study) -> dict[int, Floats]:
@@ -258,4 +267,4 @@ def _why(found: Candidates) -> str:
     """The reasons of the rejected, most frequent first, and what would help."""
     reasons = sorted((r for r, n in found.rejected.items() if n), key=lambda r: -found.rejected[r])
     counts = ", ".join(f"{reason} rejected {found.rejected[reason]}" for reason in reasons)
-    return f"{counts}. What helps, in [constraints] or [[loads]]: {'; '.join(_REMEDIES[r] for r in reasons)}"
+    return f"{counts}. What helps, in [constraints] or [[loads]]: {'; '.join(REMEDIES[r] for r in reasons)}"

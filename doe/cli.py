@@ -59,21 +59,41 @@ _DEFAULT = Common()
 
 
 @app.command
-def plan(study: Path, *, out: Path, common: Common = _DEFAULT) -> int:
+def plan(
+    study: Path,
+    *,
+    out: Path,
+    measured: Path | None = None,
+    result: Path | None = None,
+    earlier: Path | None = None,
+    unreachable: tuple[str, ...] = (),
+    common: Common = _DEFAULT,
+) -> int:
     """Pick the poses and loads to measure, of one arm or of two that face one task.
 
     Args:
         study: Study file (TOML).
         out: Folder for plan.json and plan.csv; with two arms a plan_<arm>.csv for each.
+        measured: What was measured already (CSV); the plan picks what is best beside it.
+        result: identify.json or diagnose.json of a first fit, whose values are planned with.
+        earlier: The plan that was being measured (CSV).
+        unreachable: Poses of it that could not be measured, such as P003,P007; the plan keeps clear of them.
         common: Options that every command has.
     """
     from doe.commands import run_plan
+    from doe.earlier_files import EarlierFiles
     from doe.two_arm_commands import run_plan_for_both
     from identify.two_arm_config import holds_two_arms
 
-    return _finish(
-        lambda: (run_plan_for_both if holds_two_arms(study) else run_plan)(study, seed=common.seed), out, common
-    )
+    names = tuple(name.strip() for text in unreachable for name in text.split(",") if name.strip())
+    before = EarlierFiles(measured, result, earlier, tuple(dict.fromkeys(names)))
+
+    def run() -> Outcome:
+        if holds_two_arms(study):
+            return run_plan_for_both(study, seed=common.seed, before=before)
+        return run_plan(study, seed=common.seed, out=out, before=before)
+
+    return _finish(run, out, common)
 
 
 @app.command

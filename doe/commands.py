@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from doe.accuracy import Accuracy, accuracy
-from doe.evaluate import evaluate
-from doe.information import standard_deviations
+from doe.curve import accuracy_curve, fewest_shown, sizes
+from doe.design_choices import choice_lines, chosen_toml, decide
+from doe.earlier_files import NO_FILES, EarlierFiles, load_earlier
+from doe.evaluate import Evaluation, evaluate
+from doe.information import covariance_of, standard_deviations
 from doe.joint_only import joint_only
 from doe.judgement import (
     bound_json,
@@ -17,14 +22,17 @@ from doe.judgement import (
     confusability_lines,
     counts,
     criteria,
+    curve_json,
+    curve_lines,
     errors_at_test_poses,
     judgement,
     judgement_lines,
     weakest,
 )
 from doe.objective import Objective
-from doe.order_report import approach_json, budget_json, budget_lines, order_json, order_lines
+from doe.order_report import approach_json, budget_json, budget_lines, conditions_of, order_json, order_lines
 from doe.plan import Plan, plan
+from doe.regions import poses_in
 from doe.schedule import time_as_given
 from identify.arrays import Floats
 from identify.commands import Outcome
@@ -32,15 +40,26 @@ from identify.config import load_study
 from identify.study import Study
 from identify.tables import load_plan, plan_csv, plan_experiment
 
-__all__ = ["run_evaluate", "run_plan"]
+__all__ = ["CHOSEN", "run_evaluate", "run_plan"]
+
+CHOSEN = "chosen.toml"  # the study with the choices made
 
 
-def run_plan(study_file: Path, *, seed: int) -> Outcome:
-    """Pick poses and loads for a study file."""
-    study = load_study(study_file)
-    made = plan(study, seed=seed)
+def run_plan(study_file: Path, *, seed: int, out: Path, before: EarlierFiles = NO_FILES) -> Outcome:
+    """Pick poses and loads for a study file, beside what was measured before.
+
+    Args:
+        study_file: The study.
+        seed: Seed of candidates and search.
+        out: The folder that the results will stand in.
+        before: What was measured, fitted or tried before.
+    """
+    study, earlier, told = load_earlier(load_study(study_file), before)
+    made = plan(study, seed=seed, earlier=earlier)
+    study = made.pool.observer.study  # station and markers are chosen
     reached = _accuracy(study, made.pool.objective, made.covariance)
     simple = joint_only(made, seed=seed)
+    experiment = conditions_of(made.schedule, study, earlier.names)
     content = {
         **judgement(made.pool.observer, made.pool.known, made.pool.objective, made.final, reached),
         "grid": bound_json(made.grid),
@@ -50,23 +69,34 @@ def run_plan(study_file: Path, *, seed: int) -> Outcome:
         "joint_only": None if simple is None else {"value": simple.value, "times": simple.times, "rank": simple.rank},
         "std": standard_deviations(made.information),
         **counts(made.pool.candidates),
-        "time_s": made.schedule.time,
-        "order": order_json(made.schedule),
+        "choices": None if made.decision is None else made.decision.as_json,
+        "chosen_study": None if made.decision is None else CHOSEN,
+        "curve": _curve_of_plan(study, made, seed),
+        "robust": _robust(study, made, experiment.visits),
+        "measured": _measured(study, made),
+        "unreachable": list(before.unreachable),
+        "time_s": None if made.schedule is None else made.schedule.time,
+        "order": None if made.schedule is None else order_json(made.schedule),
         "references": "own_visits" if made.pool.observer.own_visits else "same_visit",
         "approach_deg": approach_json(study),
         "budget": budget_json(made),
-        "notes": list(made.notes),
+        "notes": [*told, *made.notes],
     }
-    tables = {"plan.csv": plan_csv(made.schedule.conditions(study), study)}
-    lines = (*judgement_lines(content, len(made.q)), *order_lines(made.schedule), *budget_lines(made))
-    return Outcome("plan", content, study.inputs, tables, lines)
+    tables = {"plan.csv": plan_csv(experiment, study)}
+    lines = (*judgement_lines(content, len(made.q)), *order_lines(made.schedule), *budget_lines(made),
+             *curve_lines(content["curve"]))  # fmt: skip
+    if made.decision is not None:
+        tables[CHOSEN] = chosen_toml(study_file, made.decision.best, out)
+        lines = (*choice_lines(made.decision), *lines)
+    return Outcome("plan", content, (*study.inputs, *before.paths), tables, lines)
 
 
 def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
     """Judge a pose file."""
-    study = load_study(study_file)
+    study, decision = decide(load_study(study_file), seed=seed)
     experiment = plan_experiment(load_plan(plan_file, study), study)
     judged = evaluate(study, experiment, seed=seed)
+    stated, study = study, judged.observer.study
     aim = judged.objective
     reached = _accuracy(study, aim, judged.covariance)
     content = {
@@ -74,17 +104,118 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
         "grid": None,
         "poses": judged.visits,
         "different_poses": len(np.unique(experiment.q, axis=0)),
-        "test_poses": errors_at_test_poses(reached),
+        "test_poses": errors_at_test_poses(reached)[: len(stated.test_poses)],
+        "test_regions": _regions(stated, reached),
         "criteria": criteria(aim, judged.information),
         "weakest": weakest(judged.observer, judged.known, aim, judged.covariance),
         "std": standard_deviations(judged.information),
-        **counts(judged.candidates),
+        **counts(None if judged.pool is None else judged.pool.candidates),
+        "visits_rejected": dict(judged.broken),
+        "choices": None if decision is None else decision.as_json,
+        "curve": _curve_of_poses(study, judged, seed),
         "confusability": confusability_json(study, experiment),
         "time_s": time_as_given(study, experiment),
-        "notes": [],
+        "notes": _notes(judged.broken),
     }
-    lines = (*judgement_lines(content, judged.visits), *confusability_lines(content["confusability"]))
+    lines = (
+        *judgement_lines(content, judged.visits),
+        *curve_lines(content["curve"]),
+        *confusability_lines(content["confusability"]),
+    )
     return Outcome("evaluate", content, (*study.inputs, plan_file), {}, lines)
+
+
+def _notes(broken: Mapping[str, int]) -> list[str]:
+    """What a user should know about the given visits."""
+    if not broken:
+        return []
+    counts = ", ".join(f"{reason} {count}" for reason, count in broken.items())
+    return [f"given visits that break a constraint of the study: {counts}"]
+
+
+def _regions(stated: Study, reached: Accuracy | None) -> list[dict[str, Any]]:
+    """Error over each test region: rms, and at its worst point."""
+    errors, found, start = errors_at_test_poses(reached), [], len(stated.test_poses)
+    for region in range(len(stated.test_regions)):
+        own = errors[start : start + len(poses_in(stated, region))]
+        start += len(own)
+        found.append({
+            "points": len(own),
+            **{key: float(np.sqrt(np.mean([each[key] ** 2 for each in own]))) for key in ("rms_mm", "rms_total_mm")},
+            **{f"max_{key}": max(each[key] for each in own) for key in ("rms_mm", "ci95", "ci95_total")},
+        })
+    return found
+
+
+def _robust(study: Study, made: Plan, names: tuple[str, ...]) -> dict[str, Any] | None:
+    """What the plan is worth after losses and at other nominal values; None if not asked for."""
+    found, aim = made.robust, made.pool.objective
+    if found is None:
+        return None
+    left = [] if aim.rows is None else [accuracy(study, aim.rows, covariance_of(one)) for one in found.left]
+    return {
+        "losses": found.losses,
+        "draws": found.draws,
+        **bound_json(found.reached),
+        "worst_loss": [names[visit] for visit in found.lost],
+        "rms_mm": max((each.rms for each in left), default=None),
+        "rms_total_mm": max((each.rms_total for each in left), default=None),
+        "radius_mm": max((each.radius(study.plan.confidence) for each in left), default=None),
+    }
+
+
+def _measured(study: Study, made: Plan) -> dict[str, Any] | None:
+    """What the measured visits alone reach; None without any."""
+    measured, prior = made.pool.earlier.measured, made.pool.prior
+    if measured is None or prior is None:
+        return None
+    value = made.pool.objective.value(prior)
+    reached = _accuracy(study, made.pool.objective, covariance_of(prior)) if np.isfinite(value) else None
+    return {
+        "visits": len(np.unique(measured.row_visit)),
+        "value": value,
+        "rms_mm": None if reached is None else reached.rms,
+        "rms_total_mm": None if reached is None else reached.rms_total,
+    }
+
+
+def _curve_of_plan(study: Study, made: Plan, seed: int) -> list[dict[str, Any]]:
+    """The curve around the size of a plan; empty without test poses or where the study does not want it."""
+    pool, count = made.pool, len(made.q)
+    aim = pool.objective
+    if aim.rows is None or not study.plan.curve:
+        return []
+    return curve_json(
+        accuracy_curve(
+            aim,
+            study.plan,
+            partial(accuracy, study, aim.rows),
+            sizes(2 * count, first=fewest_shown(pool), also=count),
+            seed,
+            pool=pool,
+            guard=made.guard,
+        ),
+        given=False,
+    )
+
+
+def _curve_of_poses(study: Study, judged: Evaluation, seed: int) -> list[dict[str, Any]]:
+    """The curve along the visits of a pose file; empty without test poses or where the study does not want it."""
+    aim = judged.objective
+    if aim.rows is None or not study.plan.curve:
+        return []
+    return curve_json(
+        accuracy_curve(
+            aim,
+            study.plan,
+            partial(accuracy, study, aim.rows),
+            sizes(judged.visits),
+            seed,
+            pool=judged.pool,
+            own=judged.own,
+        ),
+        given=True,
+    )
 
 
 def _accuracy(study: Study, aim: Objective, covariance: Floats) -> Accuracy | None:

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
+
+import numpy as np
 
 from doe.bounds import Bound, bound_of
 from doe.candidates import Candidates, candidates
-from doe.information import covariance_of
+from doe.design_choices import open_choices
+from doe.feasible import FEASIBLE, count_reasons, screen
+from doe.information import covariance_of, information_of
 from doe.objective import Objective, objective
 from doe.observations import Observer, keep_columns, observer, stacked_visits
+from doe.pool import Pool
+from doe.regions import with_regions
 from identify.arrays import Floats
-from identify.errors import Infeasible
+from identify.errors import Infeasible, InputError
 from identify.experiment import Experiment
 from identify.identifiability import Identifiability, independent_columns, triangle
 from identify.study import Study
@@ -31,9 +38,10 @@ class Evaluation:
         known: Parameters that they can identify.
         objective: The criterion on these parameters.
         information: (p, p) of them.
-        visits: Number of visits.
-        candidates: What it was compared with; None if nothing keeps to the constraints.
+        own: (V, k, p) blocks of the visits, in their order.
+        pool: What it was compared with, on these parameters; None if nothing keeps to the constraints.
         bound: Value and proven bound.
+        broken: Number of visits by the first constraint of the study that they break.
     """
 
     observer: Observer
@@ -41,9 +49,15 @@ class Evaluation:
     known: Identifiability
     objective: Objective
     information: Floats
-    visits: int
-    candidates: Candidates | None
+    own: Floats
+    pool: Pool | None
     bound: Bound
+    broken: Mapping[str, int]
+
+    @property
+    def visits(self) -> int:
+        """Number of visits."""
+        return len(self.own)
 
     @property
     def covariance(self) -> Floats:
@@ -64,20 +78,35 @@ def evaluate(study: Study, experiment: Experiment, *, seed: int = 0) -> Evaluati
 
     Raises:
         NotIdentifiable: The criterion needs a direction that these poses cannot show.
+        InputError: The study leaves the tracker's station or the markers open (`doe.design_choices.decide`).
     """
+    if open_choices(study):
+        raise InputError(
+            f"{study.path}: station or markers are still to be chosen; judge the study that decide() gives"
+        )
+    study = with_regions(study)
     watching = observer(study)
     own = stacked_visits(watching, experiment)
     known = independent_columns(triangle([own.reshape(-1, own.shape[2])]))
     aim = objective(watching, known, study.plan.criterion)
     own = own[:, :, known.kept]
-    rows = own.reshape(-1, aim.size)
-    information: Floats = rows.T @ rows
-    chosen = _candidates(study, seed)
-    pool = own[:0]
+    information = information_of(own)
+    chosen, pool = _candidates(study, seed), None
     if chosen is not None:
-        pool = keep_columns(watching.blocks(chosen.q[chosen.pose], chosen.visit_loads), known.kept)
-    bound = bound_of(aim, len(own), pool, own, aim.value(information), repeats=study.plan.repeats)
-    return Evaluation(watching, experiment, known, aim, information, len(own), chosen, bound)
+        blocks = keep_columns(watching.blocks(chosen.visit_q, chosen.visit_loads), known.kept)
+        pool = Pool(watching, chosen, known, blocks, aim)
+    among = own[:0] if pool is None else pool.blocks
+    bound = bound_of(aim, len(own), among, own, aim.value(information), repeats=study.plan.repeats)
+    return Evaluation(watching, experiment, known, aim, information, own, pool, bound, _broken(study, experiment))
+
+
+def _broken(study: Study, experiment: Experiment) -> dict[str, int]:
+    """Number of visits by the first constraint that they break."""
+    codes = screen(study).codes(experiment.q[experiment.shot_pose])
+    own = codes[np.arange(len(codes)), experiment.shot_load]
+    first = np.full(len(experiment.visits), FEASIBLE)
+    np.minimum.at(first, experiment.shot_visit, own)
+    return {reason: count for reason, count in count_reasons(first).items() if count}
 
 
 def _candidates(study: Study, seed: int) -> Candidates | None:

@@ -22,7 +22,7 @@ from identify.arrays import Ints, frozen
 from identify.errors import Infeasible, InputError, NotIdentifiable
 from identify.threads import one_thread
 
-__all__ = ["ExactDesign", "exact_design"]
+__all__ = ["ExactDesign", "exact_design", "kept_regular"]
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def exact_design(
         limits = _checked_limits(n, repeats, costs, budget, len(problem.blocks))
         if most_rank(problem, limits) < needed_rank(problem, target, criterion):
             _value(problem, target, criterion, prior, richest(problem, limits))  # says what is missing
-        problem = _kept_regular(problem, limits)
+        problem = kept_regular(problem, limits)
         problem, found = _relaxed(problem, limits)
         counts, bound, source = _search(problem, found, limits, EFFORTS[effort], np.random.default_rng(seed))
         value = _value(problem, target, criterion, prior, counts)
@@ -156,7 +156,7 @@ def _checked_count(n: Any) -> int:
     return value
 
 
-def _kept_regular(problem: Problem, limits: Limits) -> Problem:
+def kept_regular(problem: Problem, limits: Limits) -> Problem:
     """Add a trace of the average information, so that small plans have a value; bounds stay bounds.
 
     A plan of candidates that far outweigh the average needs more, so that its information stays positive definite

@@ -1,51 +1,63 @@
-"""Which visits may be measured: joint limits, floor, self-collision and rated payload, many poses at once.
+"""Which visits may be measured: limits of the joints, the cell, the load and the line of sight, many poses at once.
 
 A visit is one pose and the loads that are read there. Its reason is the first of `REASONS` that applies.
 
 * *joint_limits*: within the limits less the margin.
-* *floor*: joint origins, flange, flange markers and the attach points of the visit's loads stand at or above the
-  floor. Points whose height no joint can change (the base column) are left out, see `floor_points`.
+* *floor*: joint origins, flange, flange markers and the lowest points of the visit's loads stand at or above the
+  floor. Points whose height no joint can change (the base column) are left out, see `doe.floor`.
+* *walls*, *boxes*: links that move, flange markers, ropes and hung bodies keep the clearance, see `doe.gaps`.
 * *self_collision*: capsules around the links keep apart, see `doe.capsules`.
-* *payload*: hung mass and tool within the stated share of the rated payload, where that is known.
+* *load_collision*: ropes and hung bodies keep the clearance to the links, see `doe.weights`.
+* *payload*: hung mass and tool within the stated share of the rated payload and within the payload diagram.
+* *torque*: static moments about the last three joints and static joint torques within their limits, `doe.statics`.
+* *tracker_range*, *reflector_angle*, *line_of_sight*: enough markers are in range, turned to the tracker, and seen;
+  each counts the markers that the one before it has left, see `doe.visibility`.
 
-Under ``[plan] approach = "same"`` the place from which a pose is approached (every joint lower) must keep to limits,
-floor and self-collision too.
+Under ``[plan] approach = "same"`` the place from which a pose is approached (every joint lower) must keep to all of
+this too, but for what the tracker sees.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from doe.capsules import Capsules, capsules
+from doe.distances import segment_distance
+from doe.gaps import Gaps, gaps_of
+from doe.statics import carried, statics
+from doe.visibility import sight
 from identify.arrays import Floats, Ints, frozen
+from identify.errors import InputError
 from identify.kinematics import Frames, forward
-from identify.robot import Robot
 from identify.study import Study
 
 __all__ = [
     "FEASIBLE",
     "REASONS",
     "Feasibility",
-    "FloorPoints",
     "Screen",
     "approach_of",
     "check",
     "count_reasons",
-    "floor_points",
     "joint_range",
     "screen",
 ]
 
 #: Why a visit may not be measured, in the order in which the reasons are looked at.
-REASONS = ("joint_limits", "floor", "self_collision", "payload")
+REASONS = (
+    "joint_limits", "floor", "walls", "boxes", "self_collision", "load_collision", "payload", "torque",
+    "tracker_range", "reflector_angle", "line_of_sight",
+)  # fmt: skip
 FEASIBLE = len(REASONS)  # the code of a visit without a reason
 
+_OF_READING = {"tracker_range", "reflector_angle", "line_of_sight"}  # nothing is read on the way
+
 _CHUNK = 4096  # poses at a time
-_ROUNDING = 1e-9  # rad or m: limits and heights hold up to this
-_STILL = 1e-4  # m: a height that changes by less does not depend on the joints (files round angles to 1e-5 or so)
+_ROUNDING = 1e-9  # rad or m: limits and gaps hold up to this
+
+Test = Callable[[Floats, Frames], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,42 +92,18 @@ class Feasibility:
 
 
 @dataclass(frozen=True, eq=False)
-class FloorPoints:
-    """Points of the arm that must stay above the floor and whose height depends on the joints.
-
-    Attributes:
-        joints: (J,) joints whose origin counts.
-        local: (P, 3) points in the flange frame, m: flange origin, flange markers, attach points.
-    """
-
-    joints: Ints
-    local: Floats
-
-    def heights(self, frames: Frames) -> Floats:
-        """(N, J + P) world heights from the base origin, m."""
-        up = frames.robot.world_R_base[2]
-        up_in_flange = np.einsum("i,vij->vj", up, frames.flange_rotation)
-        flange = (frames.flange_origin @ up)[:, None] + up_in_flange @ self.local.T
-        return np.concatenate([frames.origin[:, self.joints] @ up, flange], axis=1)
-
-
-@dataclass(frozen=True, eq=False)
 class Screen:
     """Everything about a study that its poses are checked with.
 
     Attributes:
         study: The study.
-        arm: Points of the arm above the floor, without the loads.
-        attached: For each load of the study, its points above the floor.
-        capsules: The arm's capsules.
-        carried: (loads,) True where the rated payload allows a load.
+        gaps: The geometry of its cell.
+        tests: Reason -> ``(q (N, n), frames) -> (N, L) or (N, 1)``, True where it applies; in the order of `REASONS`.
     """
 
     study: Study
-    arm: FloorPoints
-    attached: tuple[FloorPoints, ...]
-    capsules: Capsules
-    carried: np.ndarray
+    gaps: Gaps
+    tests: Mapping[str, Test]
 
     def codes(self, q: Floats) -> np.ndarray:
         """First reason against each load at each pose.
@@ -129,52 +117,122 @@ class Screen:
             (N, loads) index into `REASONS`, or `FEASIBLE`.
         """
         parts = [self._approached(q[start : start + _CHUNK]) for start in range(0, len(q), _CHUNK)]
-        return np.concatenate(parts) if parts else np.empty((0, len(self.carried)), dtype=np.int8)
+        return np.concatenate(parts) if parts else np.empty((0, len(self.study.loads)), dtype=np.int8)
+
+    def check(self, q: Floats, visit_loads: Ints) -> Feasibility:
+        """Check visits: (N, n) joint values, rad or m, and (N, L) indices of the loads of each visit."""
+        return Feasibility(np.take_along_axis(self.codes(q), visit_loads, axis=1).min(axis=1, initial=FEASIBLE))
 
     def _approached(self, q: Floats) -> np.ndarray:
         """`codes` of a few poses, and of where they are approached from."""
-        codes, below = self._chunk(q), approach_of(self.study)
-        return np.minimum(codes, self._chunk(q - below)) if below.any() else codes
+        codes, below = self._chunk(q, self.tests), approach_of(self.study)
+        return np.minimum(codes, self._chunk(q - below, self._of_moving)) if below.any() else codes
 
-    def _chunk(self, q: Floats) -> np.ndarray:
-        """`codes` of a few poses by themselves; the later a check is written, the less it counts."""
+    @property
+    def _of_moving(self) -> Mapping[str, Test]:
+        """The tests of places where nothing is read."""
+        return {reason: test for reason, test in self.tests.items() if reason not in _OF_READING}
+
+    def _chunk(self, q: Floats, tests: Mapping[str, Test]) -> np.ndarray:
+        """`codes` of a few poses by themselves; what a pose has failed for every load is not looked at further."""
         frames = forward(self.study.robot, q)
-        codes = np.full((len(q), len(self.carried)), FEASIBLE, dtype=np.int8)
-        codes[:, ~self.carried] = REASONS.index("payload")
-        codes[self._colliding(frames)] = REASONS.index("self_collision")
-        codes[self._below(frames)] = REASONS.index("floor")
-        lower, upper = _limits(self.study)
-        outside = (q < lower - _ROUNDING) | (q > upper + _ROUNDING)
-        codes[outside.any(axis=1)] = REASONS.index("joint_limits")
+        codes = np.full((len(q), len(self.study.loads)), FEASIBLE, dtype=np.int8)
+        left = np.arange(len(q))
+        for reason, test in tests.items():
+            still = (codes[left] == FEASIBLE).any(axis=1)
+            if not still.all():
+                left = left[still]
+                q, frames = q[still], frames.taken(np.flatnonzero(still))
+            if not len(left):
+                break
+            part = codes[left]
+            part[test(q, frames) & (part == FEASIBLE)] = REASONS.index(reason)
+            codes[left] = part
         return codes
 
-    def _colliding(self, frames: Frames) -> np.ndarray:
-        """(N,) True where capsules touch."""
-        if not self.capsules.first.size:
-            return np.zeros(len(frames.origin), dtype=bool)
-        return np.asarray(self.capsules.touching(frames).any(axis=1))
-
-    def _below(self, frames: Frames) -> np.ndarray:
-        """(N, loads) True where a point of the arm or of the load is below the floor."""
-        floor = self.study.constraints.floor
-        if floor is None:
-            return np.zeros((len(frames.origin), len(self.carried)), dtype=bool)
-        lowest = [points.heights(frames).min(axis=1, initial=np.inf) for points in (self.arm, *self.attached)]
-        arm, *loads = (height < floor - _ROUNDING for height in lowest)
-        return np.stack([arm | load for load in loads], axis=1) if loads else np.empty((len(arm), 0), dtype=bool)
+    def failures(self, q: Floats) -> dict[str, np.ndarray]:
+        """Every reason on its own: reason -> (N, loads), True where it applies; for few poses ``q`` (N, n)."""
+        frames, shape = forward(self.study.robot, q), (len(q), len(self.study.loads))
+        found = {reason: np.broadcast_to(test(q, frames), shape) for reason, test in self.tests.items()}
+        below = approach_of(self.study)
+        if below.any():
+            frames = forward(self.study.robot, q - below)
+            found |= {reason: found[reason] | test(q - below, frames) for reason, test in self._of_moving.items()}
+        return found
 
 
 def screen(study: Study) -> Screen:
-    """What the poses of a study are checked with."""
-    robot, payload = study.robot, study.robot.payload * study.constraints.payload_share
-    hung = np.array([load.mass for load in study.loads]) + robot.tool_mass
-    return Screen(
-        study=study,
-        arm=floor_points(study),
-        attached=tuple(FloorPoints(_NO_JOINTS, _rising(robot, load.attach[None])) for load in study.loads),
-        capsules=capsules(study),
-        carried=np.asarray(~(hung > payload * (1 + 1e-9))),  # an unknown payload (nan) allows everything
-    )
+    """What the poses of a study are checked with.
+
+    Raises:
+        InputError: The tracker stands inside the arm, or home breaks a constraint.
+    """
+    gaps, limits = gaps_of(study), statics(study)
+    view = sight(study, gaps)
+    lower, upper = _limits(study)
+    forbidden = ~carried(study)[None]
+    tests: dict[str, Test] = {
+        "joint_limits": lambda q, _: np.any((q < lower - _ROUNDING) | (q > upper + _ROUNDING), axis=1, keepdims=True)
+    }
+    tests |= {reason: _broken(gap) for reason, gap in gaps.by_reason.items()}
+    tests["payload"] = lambda q, _: np.broadcast_to(forbidden, (len(q), forbidden.shape[1]))
+    tests["torque"] = lambda _, frames: limits.exceeded(frames)
+    if view is not None:
+        tests |= {reason: _of_frames(test) for reason, test in view.by_reason.items()}
+    _check_home(study, gaps)
+    _check_tracker(study, gaps)
+    return Screen(study, gaps, {reason: tests[reason] for reason in REASONS if reason in tests})
+
+
+def _broken(gap: Callable[[Frames], Floats]) -> Test:
+    """The test of a gap."""
+    return lambda _, frames: np.asarray(gap(frames) < -_ROUNDING)
+
+
+def _of_frames(test: Callable[[Frames], np.ndarray]) -> Test:
+    """The test of frames alone."""
+    return lambda _, frames: test(frames)
+
+
+def _check_home(study: Study, gaps: Gaps) -> None:
+    """The arm without loads can stand at home.
+
+    Raises:
+        InputError: It cannot.
+    """
+    if study.constraints.home is None:
+        return
+    frames = forward(study.robot, study.constraints.home)
+    bare = [i for i, load in enumerate(study.loads) if load.unloaded and load.depth == 0.0]
+    for reason, gap in gaps.by_reason.items():
+        value = gap(frames)[0]
+        least = value.max() if len(value) == 1 or not bare else value[bare].max()
+        if least < -_ROUNDING:
+            raise InputError(
+                f"{study.path}: [constraints] home_deg: the arm cannot stand there, {reason} is broken by "
+                f"{-1000 * least:.0f} mm; state another home or correct the cell"
+            )
+
+
+def _check_tracker(study: Study, gaps: Gaps) -> None:
+    """No tracker stands inside the base of the arm, or inside the arm at home.
+
+    Raises:
+        InputError: One does.
+    """
+    if study.constraints.visibility is None:
+        return
+    home, arm = study.constraints.home, gaps.capsules
+    start, end = arm.segments(forward(study.robot, np.zeros(study.robot.n) if home is None else home))
+    counted = np.ones(len(arm.names), dtype=bool) if home is not None else ~arm.moving
+    places = {f"[[tracker_stations]] {place.name}": place.position for place in study.stations}
+    if not places and study.station is not None:
+        places = {"[noise.tracker] station_mm": study.station}
+    for key, position in places.items():
+        inside = counted & (segment_distance(position, position, start[0], end[0]) < arm.radii)
+        if inside.any():
+            name = arm.names[int(np.argmax(inside))]
+            raise InputError(f"{study.path}: {key}: the tracker stands inside the robot ({name}); move it away")
 
 
 def check(study: Study, q: Floats, visit_loads: Ints) -> Feasibility:
@@ -188,8 +246,7 @@ def check(study: Study, q: Floats, visit_loads: Ints) -> Feasibility:
     Raises:
         InputError: ``q`` has the wrong number of columns.
     """
-    by_load = screen(study).codes(q)
-    return Feasibility(np.take_along_axis(by_load, visit_loads, axis=1).min(axis=1, initial=FEASIBLE))
+    return screen(study).check(q, visit_loads)
 
 
 def count_reasons(codes: np.ndarray) -> dict[str, int]:
@@ -220,65 +277,3 @@ def _limits(study: Study) -> tuple[Floats, Floats]:
     robot, constraints = study.robot, study.constraints
     margin = np.where(robot.prismatic, constraints.joint_margin_slide, constraints.joint_margin)
     return robot.lower + margin, robot.upper - margin
-
-
-# ---- floor
-
-
-_NO_JOINTS = frozen([], np.int64)
-
-
-def floor_points(study: Study, loads: Iterable[int] = ()) -> FloorPoints:
-    """Points that must stay above the floor, without those whose height no joint can change.
-
-    Args:
-        study: The study.
-        loads: Indices of the loads of a visit.
-
-    Returns:
-        Joint origins, flange origin, flange markers and attach points, in this order.
-    """
-    robot, markers = study.robot, study.markers
-    moved = [_moves(spread, robot.placements[i, :3, 3]) for i, spread in enumerate(_height_spreads(robot))]
-    attach = [study.loads[i].attach for i in loads]
-    local = np.vstack([np.zeros((1, 3)), markers.positions[~markers.on_base], *attach])
-    return FloorPoints(frozen(np.flatnonzero(moved[: robot.n]), np.int64), frozen(_rising(robot, local)))
-
-
-def _rising(robot: Robot, local: Floats) -> Floats:
-    """Those points (P, 3) of the flange frame whose height depends on the joints."""
-    *_, spread = _height_spreads(robot)
-    flange = robot.placements[robot.n]
-    points = local @ flange[:3, :3].T + flange[:3, 3]
-    return local[[_moves(spread, point) for point in points]]
-
-
-def _moves(spread: Floats, point: Floats) -> bool:
-    """True if the height of a point (3,) depends on the joints, see `_height_spreads`."""
-    return bool(np.linalg.norm(spread @ np.append(point, 1.0)) > _STILL)
-
-
-def _height_spreads(robot: Robot) -> Iterator[Floats]:
-    """For each placement, how the heights of points depend on the joints before it.
-
-    The height of a point x of the moved frame of joint i - 1 is ``w(q) . (x, 1)`` with a row w of four numbers. Every
-    joint multiplies it by ``K + cos(q) C + sin(q) S`` (or ``I + q E`` where it slides). The joints are independent and
-    1, cos, sin are too, so all ``w(q) - w(0)`` together span the products with C, S and those of the span before with
-    K, C, S. The height is constant exactly if (x, 1) is orthogonal to that span: no sample of poses is needed.
-
-    Yields:
-        (at most 4, 4) rows that span it; their products with (x, 1) are about the amplitudes of the height, m.
-    """
-    along, across, quarter, shift = np.zeros((4, 4, 4))
-    along[[2, 3], [2, 3]] = across[[0, 1], [0, 1]] = shift[2, 3] = quarter[1, 0] = 1.0
-    quarter[0, 1] = -1.0
-    row, spread = np.append(robot.world_R_base[2], 0.0)[None], np.zeros((0, 4))
-    for placement, slides in zip(robot.placements, [*robot.prismatic, False], strict=True):
-        yield spread
-        row, spread = row @ placement, spread @ placement
-        if slides:
-            spread = np.vstack([spread, spread @ shift, row @ shift])
-        else:
-            spread = np.vstack([spread @ along, spread @ across, spread @ quarter, row @ across, row @ quarter])
-        _, sizes, directions = np.linalg.svd(spread, full_matrices=False)
-        spread = sizes[:, None] * directions

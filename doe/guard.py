@@ -4,34 +4,94 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from doe.exact import ExactDesign, exact_design
-from doe.information import information_of, standard_deviations
+from doe.information import standard_deviations
+from doe.losses import after_losses
+from doe.objective import Objective
 from doe.pool import AnyPool
 from doe.purse import Purse
+from doe.robust import exchanged, worst_case
 from identify.arrays import Floats, Ints
-from identify.errors import Infeasible, NotIdentifiable
+from identify.errors import Infeasible, InputError, NotIdentifiable
 
-__all__ = ["blind_spot", "guarded_search", "search"]
+__all__ = ["Guard", "blind_spot", "guarded_search", "search"]
 
 _GUARD_ROUNDS = 12
 _NUMBERS = 4  # numbers of experiments that a budget is tried with, beside what the search finds itself
 _USUAL_PERCENT = 300.0  # the default of max_std_percent; beyond it a plan says what it does not see
 
 
+@dataclass(frozen=True, eq=False)
+class Guard:
+    """What keeps a plan from seeing little but the test poses.
+
+    Attributes:
+        best: (p,) standard deviations under the best plan for the parameters; None for criteria that need no guard.
+        share: Of the parameters' own variances that is weighed into the search.
+    """
+
+    best: Floats | None = None
+    share: float = 0.0
+
+    def target(self, aim: Objective) -> Floats:
+        """What is searched for."""
+        if self.best is None or not self.share:
+            return aim.target()
+        return aim.guarded(self.best, self.share)
+
+
 def search(
+    pool: AnyPool, count: int | None, seed: int, guard: Guard, *, effort: str = "normal", purse: Purse | None = None
+) -> Ints:
+    """Indices of the chosen candidates (n,) for the criterion of the study, repeats included.
+
+    Args:
+        pool: What to choose from.
+        count: Number of experiments, with 0 nothing is chosen; None: what the purse pays for.
+        seed: Of the random moves.
+        guard: What is weighed in.
+        effort: As in `doe.exact.exact_design`.
+        purse: What may be spent.
+
+    Raises:
+        InputError: A purse in a plan that must be robust, whose exchanges do not look at costs.
+        NotIdentifiable: So many experiments cannot show what the criterion needs.
+    """
+    if count == 0:
+        return np.zeros(0, dtype=np.int64)
+    aim, losses = pool.objective, pool.observer.settings.losses
+    chosen = _found(pool, guard.target(aim), count, seed, aim.criterion, effort, purse)
+    if not losses and not pool.draws:
+        return chosen
+    if purse is not None:
+        raise InputError(
+            f"{pool.observer.path}: [plan] {purse.key} is not for plans with robust_to_losses or draws; give poses or "
+            "tolerance_mm"
+        )
+    chosen = exchanged(pool, guard.target, chosen, losses, effort, seed)
+    left = after_losses(pool.blocks[chosen], losses, pool.prior)
+    if not np.isfinite(worst_case([aim], [left])[0]):
+        raise NotIdentifiable(
+            f"{pool.observer.path}: [plan] {count} poses are too few for robust_to_losses = {losses}: after the worst "
+            f"loss the rest does not show what criterion {aim.criterion} needs; plan more poses"
+        )
+    return chosen
+
+
+def _found(
     pool: AnyPool,
     target: Floats,
     count: int | None,
     seed: int,
     criterion: str,
-    *,
     effort: str = "normal",
     purse: Purse | None = None,
 ) -> Ints:
-    """Indices of the chosen candidates, repeats included: ``count`` of them, or what the purse pays for.
+    """The best design on the candidates: ``count`` of them, or what the purse pays for.
 
     Raises:
         NotIdentifiable: So many experiments cannot show what the criterion needs.
@@ -47,6 +107,7 @@ def search(
             repeats=asked.settings.repeats,
             costs=None if purse is None else purse.costs,
             budget=None if purse is None else purse.budget,
+            prior=pool.prior,
             effort=effort,
             seed=seed,
         )
@@ -89,38 +150,38 @@ def _best_buy(design: Callable[[int | None], ExactDesign], purse: Purse, candida
 
 def guarded_search(
     pool: AnyPool, count: int | None, seed: int, *, purse: Purse | None = None
-) -> tuple[Ints, Floats | None, tuple[str, ...]]:
+) -> tuple[Ints, Guard, tuple[str, ...]]:
     """Search; where the plan sees little but the test poses, weigh the parameters' own variances in.
 
     Returns:
-        Chosen candidates, the standard deviations under the best plan for the parameters (None for criteria that
-        need no guard), and notes.
+        Chosen candidates, the guard they were found with, and notes.
 
     Raises:
         Infeasible: ``max_std_percent`` cannot be met.
     """
     aim, asked = pool.objective, pool.observer
-    chosen = search(pool, aim.target(), count, seed, aim.criterion, purse=purse)
-    if aim.criterion not in {"test_pose", "G"}:
-        return chosen, None, ()
-    thorough = search(pool, np.eye(aim.size), count, seed, "A", purse=purse)
-    best = standard_deviations(information_of(pool.blocks[thorough]))
+    chosen = search(pool, count, seed, Guard(), purse=purse)
+    if aim.criterion not in {"test_pose", "G"} or count == 0:
+        return chosen, Guard(), ()
+    thorough = _found(pool, np.eye(aim.size), count, seed, "A", purse=purse)
+    best = standard_deviations(pool.information(pool.blocks[thorough]))
     percent = asked.settings.max_std_percent
     name, ratio = _worst(pool, pool.blocks[chosen], best)
     if ratio <= percent / 100.0:
-        return chosen, best, ()
-    unguarded = aim.value(information_of(pool.blocks[chosen]))
+        return chosen, Guard(best), ()
+    unguarded = aim.value(pool.information(pool.blocks[chosen]))
     share = 1e-4 * max(unguarded if np.isfinite(unguarded) else 1.0, 1e-300) / aim.size
     for _ in range(_GUARD_ROUNDS):
-        chosen = search(pool, aim.guarded(best, share), count, seed, aim.criterion, effort="low", purse=purse)
+        guard = Guard(best, share)
+        chosen = search(pool, count, seed, guard, effort="low", purse=purse)
         if _worst(pool, pool.blocks[chosen], best)[1] <= percent / 100.0:
-            value = aim.value(information_of(pool.blocks[chosen]))
+            value = aim.value(pool.information(pool.blocks[chosen]))
             cost = f"costs {100 * (value / unguarded - 1):.2g} %" if np.isfinite(unguarded) else "keeps it identifiable"
             note = (
                 f"the best plan for the test poses alone would tell {name} {_times(ratio)}; "
                 f"max_std_percent = {percent:g} {cost}"
             )
-            return chosen, best, (note,)
+            return chosen, guard, (note,)
         share *= 8.0
     raise Infeasible(
         f"{asked.path}: [plan] max_std_percent = {percent:g} cannot be met with {_amount(count, purse)}: the best "
@@ -147,7 +208,7 @@ def blind_spot(pool: AnyPool, own: Floats, best: Floats) -> tuple[str, ...]:
 
 def _worst(pool: AnyPool, own: Floats, best: Floats) -> tuple[str, float]:
     """The parameter that a plan (n, k, p) tells worst relative to ``best`` (p,), and how much worse."""
-    ratio = standard_deviations(information_of(own)) / best
+    ratio = standard_deviations(pool.information(own)) / best
     worst = int(np.argmax(ratio))
     return pool.observer.names[pool.known.kept[worst]], float(ratio[worst])
 

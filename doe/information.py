@@ -11,11 +11,11 @@ __all__ = ["covariance_of", "information_of", "inverse_root_of", "standard_devia
 _SINGULAR = 1e-15  # smallest over largest eigenvalue on unit columns
 
 
-def information_of(blocks: Floats) -> Floats:
-    """``sum A_i'A_i`` of blocks (n, k, p) -> (p, p)."""
+def information_of(blocks: Floats, prior: Floats | None = None) -> Floats:
+    """``sum A_i'A_i + prior`` of blocks (n, k, p) -> (p, p)."""
     rows = blocks.reshape(-1, blocks.shape[2])
     product: Floats = rows.T @ rows
-    return product
+    return product if prior is None else product + prior
 
 
 def inverse_root_of(information: Floats) -> Floats | None:

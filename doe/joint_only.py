@@ -45,6 +45,8 @@ def joint_only(made: Plan, *, seed: int = 0) -> JointOnly | None:
     """
     pool = made.pool
     study = pool.observer.study
+    if pool.prior is not None:
+        return None  # what was measured belongs to the complete model
     if all(name.partition("@")[0] in {_JOINT, "geometry"} for name in study.effects):
         return None
     nominal = {name: value for name, value in study.nominal.items() if name.startswith(f"{_JOINT}.")}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from doe.accuracy import Accuracy
 from doe.bounds import Bound
 from doe.candidates import Candidates
 from doe.confusability import SHOWN, confusability
+from doe.curve import CurvePoint, Reached
 from doe.objective import Objective
 from doe.subject import Subject
 from identify.arrays import Floats
@@ -28,6 +30,8 @@ __all__ = [
     "confusability_lines",
     "counts",
     "criteria",
+    "curve_json",
+    "curve_lines",
     "errors_at_test_poses",
     "judgement",
     "judgement_lines",
@@ -106,26 +110,25 @@ def weakest(observer: Subject, known: Identifiability, aim: Objective, covarianc
 def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
     """The content of plan.json or evaluate.json for people; ``count`` experiments."""
     criterion = content["criterion"]
-    lines = [
+    lines = _measured_lines(content, count)
+    lines.append(
         f"{count} experiments at {content['different_poses']} different poses, {content['rank']} parameters, "
         f"reference {content['reference']}"
-    ]
+    )
     if criterion["rms_mm"] is not None:
         lines.append(
             f"expected error at the test poses: {criterion['rms_mm']:.4f} mm rms "
             f"({criterion['rms_total_mm']:.4f} mm with the robot's repeatability)"
         )
     lines.append(f"criterion {criterion['name']} = {criterion['value']:.5g} {criterion['unit']}")
-    lines.append(
-        f"proven: no {'plan within the budget' if content.get('budget') else count} of these poses and the "
-        f"{content['candidates']} candidates reach{'es' if content.get('budget') else ''} less than "
-        f"{content['bound']:.5g}, so the efficiency is at least {100 * content['efficiency']:.2f} %"
-    )
-    if content["grid"] is not None:
+    if count:
+        lines.append(_proof_line(content, count))
+    if content["grid"] is not None and count:
         lines.append(
             f"before refinement: {content['grid']['value']:.5g}, on the candidates alone at least "
             f"{100 * content['grid']['efficiency']:.2f} % efficient"
         )
+    lines += _robust_lines(content)
     if content.get("refinement") is not None:
         lines.append(f"refining the joint angles gained {content['refinement']['gained_percent']:.1f} %")
     simple = content.get("joint_only")
@@ -142,6 +145,79 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
     if rejected:
         lines.append(f"poses rejected: {rejected}")
     return (*lines, *(f"note: {note}" for note in content["notes"]))
+
+
+def _proof_line(content: dict[str, Any], count: int) -> str:
+    """The bound in words."""
+    beside = "" if content.get("measured") is None else " beside what was measured"
+    no, reach = ("plan within the budget", "reaches") if content.get("budget") else (str(count), "reach")
+    return (
+        f"proven: no {no} of these poses and the {content['candidates']} candidates{beside} {reach} less than "
+        f"{content['bound']:.5g}, so the efficiency is at least {100 * content['efficiency']:.2f} %"
+    )
+
+
+def _robust_lines(content: dict[str, Any]) -> list[str]:
+    """What the plan is worth after losses and at other nominal values."""
+    robust = content.get("robust")
+    if robust is None:
+        return []
+    when = [f"after losing {' and '.join(robust['worst_loss'])}, the worst loss"] * bool(robust["losses"])
+    when += [f"on average over {robust['draws']} draws of the nominal values"] * bool(robust["draws"])
+    told = robust["losses"] and robust["rms_mm"] is not None
+    error = f" (at the nominal values {robust['rms_mm']:.4f} mm rms at the test poses)" if told else ""
+    proof = f"proven: no plan of as many stays below {robust['bound']:.5g}"
+    return [f"{', '.join(when)}: {robust['value']:.5g}{error}; {proof}"]
+
+
+def _measured_lines(content: dict[str, Any], count: int) -> list[str]:
+    """What was measured before, and whether that is enough."""
+    measured = content.get("measured")
+    if measured is None:
+        return []
+    told = (
+        "too little to tell the accuracy"
+        if measured["rms_mm"] is None
+        else (f"expected error {measured['rms_mm']:.4f} mm rms ({measured['rms_total_mm']:.4f} mm with repeatability)")
+    )
+    lines = [f"measured already: {measured['visits']} visits, {told}"]
+    return lines if count else [*lines, "this keeps the tolerance: nothing more needs to be measured"]
+
+
+def curve_json(curve: Sequence[CurvePoint], *, given: bool) -> list[dict[str, float | int | None]]:
+    """Expected accuracy against the number of experiments, mm; ``given``: visits of a pose file are among it."""
+
+    def three(kind: str, reached: Reached | None) -> dict[str, float | None]:
+        values = (None, None, None) if reached is None else (reached.rms, reached.rms_total, reached.radius)
+        return dict(zip((f"{kind}_mm", f"{kind}_total_mm", f"{kind}_radius_mm"), values, strict=True))
+
+    return [
+        {
+            "poses": point.poses,
+            "bound_mm": point.bound,
+            **three("plan", point.plan),
+            **three("random", point.random),
+            **(three("own", point.own) if given else {}),
+        }
+        for point in curve
+    ]
+
+
+def curve_lines(curve: Sequence[Mapping[str, float | int | None]]) -> list[str]:
+    """The curve as a small table."""
+    kinds = {"bound_mm": "impossible below", "plan_mm": "designed", "random_mm": "random", "own_mm": "these"}
+    shown = {key: word for key, word in kinds.items() if any(point.get(key) is not None for point in curve)}
+    if not shown:
+        return []
+
+    def cell(value: float | None, word: str) -> str:
+        return f"{'-' if value is None else f'{value:.4f}':>{len(word) + 2}}"
+
+    head = f"{'experiments':>11}" + "".join(f"  {word}" for word in shown.values()) + "   (rms at the test poses, mm)"
+    return [
+        head,
+        *(f"{point['poses']:>11}" + "".join(cell(point[key], word) for key, word in shown.items()) for point in curve),
+    ]
 
 
 def criteria(aim: Objective, information: Floats) -> dict[str, float | None]:

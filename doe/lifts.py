@@ -20,6 +20,7 @@ __all__ = [
     "NOTHING",
     "Fewest",
     "ReadingOrders",
+    "carried_between",
     "fewest_lifts",
     "hung_states",
     "lifts_between",
@@ -82,6 +83,16 @@ def hung_states(visit_loads: Ints, unloaded: np.ndarray) -> Ints:
         unloaded: (loads,) True where nothing hangs.
     """
     return np.where(unloaded[visit_loads], NOTHING, visit_loads)
+
+
+def carried_between(left: Ints, entry: Ints) -> Ints:
+    """What hangs on the way from one reading to the next: what stays; a change is made with nothing hung on the way.
+
+    Args:
+        left: What hangs at the reading before, any shape.
+        entry: What hangs at the next one.
+    """
+    return np.asarray(np.where(left == entry, left, NOTHING))
 
 
 def lifts_between(before: Ints, after: Ints) -> Ints:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +16,7 @@ from identify.experiment import Experiment, full_experiment
 from identify.kinematics import forward
 from identify.study import Study
 
-__all__ = ["named_visits", "possible_visits", "usual_loads"]
-
-_NEW = re.compile(r"N(\d{1,9})")
+__all__ = ["following_names", "named_visits", "possible_visits", "usual_loads"]
 
 
 def possible_visits(
@@ -107,11 +106,16 @@ def _last(measured: Experiment, read: Floats) -> float:
     return float(read[-1 if measured.time is None else int(np.argmax(measured.time))])
 
 
+def following_names(letter: str, taken: Iterable[str], count: int) -> tuple[str, ...]:
+    """Names of ``count`` new visits: the letter and numbers that follow those of the names that are taken."""
+    pattern = re.compile(rf"{letter}(\d{{1,9}})")
+    begin = 1 + max((int(found[1]) for name in taken if (found := pattern.fullmatch(name))), default=0)
+    return tuple(f"{letter}{begin + i:03d}" for i in range(count))
+
+
 def named_visits(possible: Experiment, index: Ints, measured: Experiment) -> Experiment:
     """Some of the possible visits with names that are not yet taken: N001, N002, ... or what follows."""
-    taken = [int(found[1]) for name in measured.visits if (found := _NEW.fullmatch(name))]
-    begin = 1 + max(taken, default=0)
-    names = tuple(f"N{begin + i:03d}" for i in range(len(index)))
+    names = following_names("N", measured.visits, len(index))
     shots = len(possible.shot_visit) // len(possible.visits)
     loads = possible.shot_load.reshape(-1, shots)[index]
     new = full_experiment(possible.q[index], loads, possible.loads, possible.markers, names)

@@ -144,7 +144,9 @@ def observer(study: Study, *, own_visits: bool = False) -> Observer:
 
 
 def stacked_visits(observer: Observer, experiment: Experiment, more: Callable[[Scene], Floats] | None = None) -> Floats:
-    """Blocks of visits of any layout, (V, k, p); short ones are filled up with rows of zeros.
+    """Blocks of the visits that have rows, of any layout and in their order, (V, k, p).
+
+    Short ones are filled up with rows of zeros.
 
     Args:
         observer: The observer.
@@ -161,10 +163,12 @@ def stacked_visits(observer: Observer, experiment: Experiment, more: Callable[[S
     if more is not None:
         columns = np.concatenate([columns, more(response.scene)], axis=2)
     groups = list(operators.blocks(columns))
-    blocks = np.zeros((sum(map(len, groups)), max(group.shape[1] for group in groups), columns.shape[2]))
+    first = np.concatenate([rows[:, 0] for rows, _ in operators.groups])  # rows of one visit stand together
+    place = np.argsort(np.argsort(first))
+    blocks = np.zeros((len(first), max(group.shape[1] for group in groups), columns.shape[2]))
     start = 0
     for group in groups:
-        blocks[start : start + len(group), : group.shape[1]] = group
+        blocks[place[start : start + len(group)], : group.shape[1]] = group
         start += len(group)
     return blocks
 
@@ -246,9 +250,9 @@ def _self_weight_columns(model: Model, experiment: Experiment) -> Floats:
     return columns
 
 
-def identifiable(blocks: Floats) -> Identifiability:
-    """Kept parameters of a set of blocks (N, k, p)."""
-    return independent_columns(triangle([blocks.reshape(-1, blocks.shape[2])]))
+def identifiable(*blocks: Floats | None) -> Identifiability:
+    """Kept parameters of one or several sets of blocks (N, k, p) together."""
+    return independent_columns(triangle([part.reshape(-1, part.shape[2]) for part in blocks if part is not None]))
 
 
 def keep_columns(blocks: Floats, kept: Ints) -> Floats:

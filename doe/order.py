@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doe.lifts import NOTHING, hung_states, lifts_between
+from doe.lifts import NOTHING, carried_between, hung_states, lifts_between
 from doe.travel import Travel
 from identify.arrays import Floats, Ints, frozen
 from identify.units import HOUR
@@ -66,6 +66,7 @@ class Order:
         visit: (V,) which visit comes first, second, ...
         reading: (V, S) which of its readings is taken first, second, ...
         lifts: Crane operations from nothing hung to the last reading.
+        carried: (V,) what hangs on the way to each visit, a load or `doe.lifts.NOTHING`.
         times: (V, S) time of each reading, s.
         drift: (K,) effect of a typical drift on the result.
     """
@@ -73,12 +74,13 @@ class Order:
     visit: Ints
     reading: Ints
     lifts: int
+    carried: Ints
     times: Floats
     drift: Floats
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
-        for key in ("visit", "reading"):
+        for key in ("visit", "reading", "carried"):
             object.__setattr__(self, key, frozen(getattr(self, key), np.int64))
         object.__setattr__(self, "times", frozen(self.times))
         object.__setattr__(self, "drift", frozen(self.drift))
@@ -103,11 +105,11 @@ def measured(visits: Visits, visit: Ints, reading: Ints) -> Order:
     flat = np.append(NOTHING, states.ravel())
     lifts = lifts_between(flat[:-1], flat[1:]).reshape(loads.shape)
     step = np.asarray(pace.load_change * lifts + pace.reading, dtype=np.float64)
-    before = np.append(len(visits.loads), visit[:-1])
-    seconds = visits.travel.seconds[before, visit]
+    carried = carried_between(np.append(NOTHING, states[:-1, -1]), states[:, 0])
+    seconds = visits.travel.seconds[visits.travel.move(carried, np.append(len(visits.loads), visit[:-1]), visit)]
     step[:, 0] += pace.pose - pace.reading + np.where(np.isfinite(seconds), seconds, 0.0)
     times = pace.start + np.cumsum(step.ravel()).reshape(step.shape)
     late = (times - times.flat[0]) / HOUR
     drift = np.take_along_axis(visits.drift[visit], reading[:, :, None], axis=1)
     total = np.einsum("vs,vsk->k", late, drift)
-    return Order(visit, reading, int(lifts.sum()), times, total)
+    return Order(visit, reading, int(lifts.sum()), carried, times, total)

@@ -5,14 +5,33 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
 from doe.drift import Leftover
 from doe.feasible import approach_of
+from doe.next_visits import following_names
 from doe.plan import Plan
 from doe.schedule import STEP, Schedule
 from identify.arrays import Floats
+from identify.experiment import Experiment, full_experiment
 from identify.study import Study
 
-__all__ = ["approach_json", "budget_json", "budget_lines", "in_turn", "order_json", "order_lines"]
+__all__ = ["approach_json", "budget_json", "budget_lines", "conditions_of", "in_turn", "order_json", "order_lines"]
+
+
+def conditions_of(ordered: Schedule | None, study: Study, taken: tuple[str, ...] = ()) -> Experiment:
+    """The visits of a plan; one without any still has its columns.
+
+    Args:
+        ordered: The visits, or None.
+        study: The study.
+        taken: Names that earlier visits have; new ones follow them.
+    """
+    count = 0 if ordered is None else len(ordered.q)
+    names = following_names("P", taken, count) if taken else None
+    if ordered is not None:
+        return ordered.conditions(study, names)
+    return full_experiment(np.zeros((0, study.robot.n)), np.zeros((0, 1), dtype=np.int64), study.loads, study.markers)
 
 
 def order_json(ordered: Schedule) -> dict[str, Any]:
@@ -39,8 +58,10 @@ def _leftover_json(left: Leftover, unit: str) -> dict[str, Any]:
     return {"unit": unit, "per_mm_h": left.shift, "per_mrad_h": left.turn}
 
 
-def order_lines(ordered: Schedule) -> tuple[str, ...]:
-    """The order of a plan for people."""
+def order_lines(ordered: Schedule | None) -> tuple[str, ...]:
+    """The order of a plan for people; nothing without visits."""
+    if ordered is None:
+        return ()
     lines = [f"crane operations: {ordered.lifts} (as chosen it would take {ordered.lifts_as_found})"]
     if ordered.fewest.proven and ordered.lifts == ordered.fewest.lifts:
         lines[0] += ", proven that fewer are not possible"
@@ -76,7 +97,11 @@ def budget_json(made: Plan) -> dict[str, Any] | None:
         "asked": purse.asked,
         "for_experiments": purse.budget,
         "searched": made.bought.searched,
-        "used": made.schedule.time if purse.key == "time_budget_s" else made.bought.spent,
+        "used": None
+        if made.schedule is None
+        else made.schedule.time
+        if purse.key == "time_budget_s"
+        else made.bought.spent,
     }
 
 

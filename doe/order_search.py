@@ -1,6 +1,7 @@
 """The order of visits, and of the readings in each: fewest crane operations, then little drift and short travel.
 
-The operations are never more than the fewest there can be (`doe.lifts`). Among such orders a local search looks for one
+The operations are never more than the fewest there can be (`doe.lifts`), unless no such order avoids moves that collide
+with what hangs. Among such orders a local search looks for one
 with a small
 
     travel / travel_0  +  30 drift / own  +  10 drift / naive
@@ -26,6 +27,7 @@ _OWN, _NAIVE = 30.0, 10.0  # weights of the drift, see above
 _WORK = 10_000_000  # places of orders looked at
 _BATCH = 200_000  # places of orders looked at together
 _KICKS = 20  # new starts from a disturbed order
+_MORE = (1, 2, 4, 8, 16, 32, 64)  # operations beyond the fewest that are tried where moves are blocked
 _ROUTED = 100  # visits that the routing solver is asked for; it needs seconds for more
 
 
@@ -40,11 +42,16 @@ def best_order(visits: Visits, rng: np.random.Generator) -> tuple[Order, Fewest]
         The order, and the fewest operations that there can be.
     """
     tables = Tables(visits)
-    search = _Search(tables, _limit(visits, tables.fewest.lifts), rng)
+    most = _limit(visits, tables.fewest.lifts)
+    search = _Search(tables, most, rng)
     starts = [tables.by_pattern()]
     if 1 < len(visits.loads) <= _ROUTED:
         starts.append(tables.by_routing())
     found = search.best([start for start in starts if search.allows(*start)])
+    for more in _MORE:  # a weight that cannot go along is taken off for the way
+        if not tables.blocked(*found):
+            break
+        found = _Search(tables, most + more, rng).best([found])
     return tables.order(*found), tables.fewest
 
 
@@ -72,7 +79,7 @@ class _Search:
 
     def best(self, starts: list[tuple[Ints, Ints]]) -> tuple[Ints, Ints]:
         """The best order found from some starts, and from disturbed ones."""
-        lengths = [float(self.tables.ways(visit[None])[1].sum()) for visit, _ in starts]
+        lengths = [float(self.tables.ways(visit[None], option[None])[1].sum()) for visit, option in starts]
         finite = [length for length in lengths if 0.0 < length < np.inf]
         self.way = min(finite, default=1.0)
         ends = [self._improved(*start) for start in starts]
@@ -86,7 +93,7 @@ class _Search:
 
     def _cost(self, visit: Ints, option: Ints) -> Floats:
         """(B,) what is minimised, of orders (B, V)."""
-        seconds, length = self.tables.ways(visit)
+        seconds, length = self.tables.ways(visit, option)
         blocked = ~np.isfinite(length)
         far = np.where(blocked, 0.0, length).sum(axis=1) / self.way + 1e3 * blocked.sum(axis=1)
         return np.asarray(far + self.weight * self.tables.drifts(visit, option, np.where(blocked, 0.0, seconds)))

@@ -9,7 +9,16 @@ from functools import cached_property
 
 import numpy as np
 
-from doe.lifts import NOTHING, Fewest, ReadingOrders, fewest_lifts, hung_states, lifts_between, orders_of
+from doe.lifts import (
+    NOTHING,
+    Fewest,
+    ReadingOrders,
+    carried_between,
+    fewest_lifts,
+    hung_states,
+    lifts_between,
+    orders_of,
+)
 from doe.order import Order, Visits, measured
 from doe.routing import short_route
 from identify.arrays import Floats, Ints
@@ -63,10 +72,17 @@ class Tables:
         total = (self.within[visit, option] + lifts_between(before, entry)).sum(axis=1)
         return np.asarray(total + (self.visits.taken_off & (left[:, -1] != NOTHING)))
 
-    def ways(self, visit: Ints) -> tuple[Floats, Floats]:
+    def ways(self, visit: Ints, option: Ints) -> tuple[Floats, Floats]:
         """(B, V) time and length of the move to each visit of orders (B, V)."""
+        travel, entry = self.visits.travel, self.entry[visit, option]
         before = np.concatenate([np.full((len(visit), 1), len(self.kind)), visit[:, :-1]], axis=1)
-        return self.visits.travel.seconds[before, visit], self.visits.travel.length[before, visit]
+        left = np.concatenate([np.full((len(visit), 1), NOTHING), self.exit[visit, option][:, :-1]], axis=1)
+        move = travel.move(carried_between(left, entry), before, visit)
+        return travel.seconds[move], travel.length[move]
+
+    def blocked(self, visit: Ints, option: Ints) -> bool:
+        """True if a move of an order is not possible."""
+        return not np.isfinite(self.ways(visit[None], option[None])[1]).all()
 
     def drifts(self, visit: Ints, option: Ints, seconds: Floats) -> Floats:
         """(B,) size of the drift of orders (B, V)."""
@@ -93,19 +109,22 @@ class Tables:
         if self.visits.taken_off:
             steps = _unloaded_between(steps, self.kinds)
         kinds, option = (np.array(part) for part in zip(*steps, strict=True))
-        length = self.visits.travel.length
+        travel = self.visits.travel
+        entry, left_with = (np.array([getattr(self.kinds[k], key)[o] for k, o in steps]) for key in ("entry", "exit"))
+        carried = carried_between(left_with[:-1], entry[1:])
         firsts = np.flatnonzero(self.kind == kinds[0])[: max(_ROUTES**2 // len(kinds) ** 2, 1)]
-        routes = []
-        for first in firsts if not length[-1].any() else firsts[[np.argmin(length[-1, firsts])]]:
+        routes, home = [], travel.length[-1, -1]
+        for first in firsts if not home.any() else firsts[[np.argmin(home[firsts])]]:
             left, route = np.ones(len(self.kind), dtype=bool), [int(first)]
             left[first] = False
-            for kind in kinds[1:]:
+            for kind, hung in zip(kinds[1:], carried, strict=True):
                 open_ones = np.flatnonzero(left & (self.kind == kind))
-                route.append(int(open_ones[np.argmin(length[route[-1], open_ones])]))
+                way = travel.length[travel.move(hung, np.full(len(open_ones), route[-1]), open_ones)]
+                route.append(int(open_ones[np.argmin(way)]))
                 left[route[-1]] = False
             routes.append(route)
         visit = np.array(routes)
-        return visit[np.argmin(self.ways(visit)[1].sum(axis=1))], option
+        return visit[np.argmin(self.ways(visit, np.broadcast_to(option, visit.shape))[1].sum(axis=1))], option
 
     def by_routing(self) -> tuple[Ints, Ints]:
         """The route of the solver, which puts operations before travel."""
@@ -115,7 +134,8 @@ class Tables:
         left = np.append(self.exit[visit, option], NOTHING)
         within = np.append(self.within[visit, option], 0)
         lifts = lifts_between(left[:, None], entry[None]) + within[None]
-        length = self.visits.travel.length[np.ix_(place, place)]
+        travel, carried = self.visits.travel, carried_between(left[:, None], entry[None])
+        length = travel.length[travel.move(carried, place[:, None], place[None])]
         longest = np.max(length, where=np.isfinite(length), initial=0.0) * (len(self.kind) + 1)
         route = short_route(lifts * max(longest, 1.0) + length, visit)
         return visit[route], option[route]

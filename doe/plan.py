@@ -11,11 +11,16 @@ import numpy as np
 from doe.bounds import Bound, bound_of
 from doe.budget import Bought, within_budget
 from doe.choice import Choice, choose
+from doe.design_choices import Decision, decide
 from doe.drift import yardstick
-from doe.information import covariance_of, information_of
+from doe.earlier import NOTHING, Earlier
+from doe.guard import Guard
+from doe.information import covariance_of
+from doe.moves import stated_moves
 from doe.pool import Pool, build_pool
 from doe.purse import prices
 from doe.refine import Refinement
+from doe.robustness import Robustness, robustness
 from doe.schedule import Schedule, schedule
 from doe.tolerance import sufficient
 from doe.travel import Free
@@ -38,9 +43,12 @@ class Plan:
         final: Value and bound of this plan, on the candidates and its own poses.
         information: (p, p) of the identifiable parameters.
         refinement: What the refinement did, or None.
+        guard: What was weighed into the search.
+        robust: What it is worth after losses and at other nominal values; None if not asked for.
         notes: What the user should know.
-        schedule: The visits in the order of measuring; ``q`` and ``visit_loads`` follow it.
+        schedule: The visits in the order of measuring; ``q`` and ``visit_loads`` follow it. None without visits.
         bought: What it cost of the budget, or None without one.
+        decision: How station and markers were chosen; None where there was no choice.
     """
 
     pool: Pool
@@ -50,9 +58,12 @@ class Plan:
     final: Bound
     information: Floats
     refinement: Refinement | None
+    guard: Guard
+    robust: Robustness | None
     notes: tuple[str, ...]
-    schedule: Schedule
+    schedule: Schedule | None
     bought: Bought | None = None
+    decision: Decision | None = None
 
     @property
     def covariance(self) -> Floats:
@@ -60,29 +71,39 @@ class Plan:
         return covariance_of(self.information)
 
 
-def plan(study: Study, *, seed: int = 0, home: Floats | None = None, free: Free | None = None) -> Plan:
+def plan(
+    study: Study, *, seed: int = 0, earlier: Earlier = NOTHING, home: Floats | None = None, free: Free | None = None
+) -> Plan:
     """Pick the poses and loads that minimise the criterion of the study.
 
     Candidates are drawn over the joint limits; column generation gives the best relaxed design and its
     proven bound; exchange and local search make it a plan of n experiments; the joint angles are then
-    moved off the grid, and the visits are put in the order of measuring.
+    moved off the grid, and the visits are put in the order of measuring. Where the study leaves the tracker's station
+    or the markers open, they are chosen first.
 
     Args:
         study: The study; its ``[plan]`` says what is wanted.
         seed: Seed of candidates and search.
-        home: (joints,) where the robot comes from and goes around obstacles, or None.
-        free: Which straight moves between poses are free, or None.
+        earlier: What was measured, which counts in full beside the ``poses`` that are picked, and poses to keep clear
+            of. With a tolerance none may be left to pick.
+        home: (joints,) where the robot comes from and goes around obstacles; None: the home of the constraints.
+        free: Which straight moves between poses are free; None: what the constraints say, see `doe.moves`.
 
     Raises:
         NotIdentifiable: The criterion needs what no candidate shows, or n is too small.
         Infeasible: No candidate keeps to the constraints, or no plan meets the tolerance or fits into the budget.
     """
-    if study.plan.references == "auto":
-        return _better(study, partial(plan, seed=seed, home=home, free=free))
-    pool = build_pool(study, seed)
+    study, decision = decide(study, seed=seed)
+    made = partial(_planned, seed=seed, earlier=earlier, home=home, free=free)
+    return replace(_better(study, made) if study.plan.references == "auto" else made(study), decision=decision)
 
-    def scheduled(choice: Choice) -> Schedule:
-        return scheduled_choice(pool, choice, seed, home=home, free=free)
+
+def _planned(study: Study, *, seed: int, earlier: Earlier, home: Floats | None, free: Free | None) -> Plan:
+    """The plan of a study that leaves nothing open."""
+    pool = build_pool(study, seed, earlier)
+
+    def scheduled(choice: Choice) -> Schedule | None:
+        return scheduled_choice(pool, choice, seed, home=home, free=free) if len(choice.q) else None
 
     bought = None
     if study.plan.budgeted:
@@ -100,50 +121,64 @@ def scheduled_choice(
 
     Args:
         pool: What it was chosen from.
-        choice: The experiments.
+        choice: The experiments, at least one.
         seed: Seed of the search.
-        home: (joints,) where the robot comes from and goes around obstacles, or None.
-        free: Which moves between poses are free, or None.
+        home: (joints,) where the robot comes from and goes around obstacles; None: the home of the constraints.
+        free: Which moves between poses are free; None: what the constraints say.
 
     Raises:
         Infeasible: No order avoids moves that are not free.
     """
-    covariance = covariance_of(information_of(choice.own))
+    study, kept = pool.observer.study, pool.known.kept
+    covariance = covariance_of(pool.information(choice.own))
     measure = yardstick(pool.objective, covariance)
-    gain = measure.rows @ covariance
-    kept = pool.known.kept
-    return schedule(pool.observer, choice.q, choice.visit_loads, kept, gain, measure, seed=seed, home=home, free=free)
-
-
-def _proven(pool: Pool, choice: Choice, ordered: Schedule, bought: Bought | None) -> Plan:
-    """The finished plan, with what is proven about it."""
-    aim, plan_of = pool.objective, pool.observer.study.plan
-    count, none = len(choice.q), np.zeros(0)
-    purse = None if bought is None else bought.purse
-    budget = None if purse is None else purse.budget
-    price = (
-        np.zeros(count)
-        if purse is None
-        else prices(pool.observer.study, choice.visit_loads, own_visits=pool.observer.own_visits)
+    return schedule(
+        pool.observer,
+        choice.q,
+        choice.visit_loads,
+        kept,
+        measure.rows @ covariance,
+        measure,
+        seed=seed,
+        home=study.constraints.home if home is None else home,
+        free=stated_moves(study) if free is None else free,
     )
 
-    def bound(own: Floats, paid: Floats, value: float) -> Bound:
-        costs = None if purse is None else (purse.costs, paid)
-        return bound_of(aim, count, pool.blocks, own, value, repeats=plan_of.repeats, costs=costs, budget=budget)
 
-    first = np.unique(ordered.experiment, return_index=True)[1]
-    place = ordered.experiment[np.sort(first)]
-    grid = bound(pool.blocks[:0], none, aim.value(information_of(choice.grid)))
-    information = information_of(choice.own)
-    final = grid if choice.own is choice.grid else bound(choice.own[place], price[place], aim.value(information))
+def _proven(pool: Pool, choice: Choice, ordered: Schedule | None, bought: Bought | None) -> Plan:
+    """The finished plan, with what is proven about it; its experiments stand as they are first visited."""
+    study, count, none = pool.observer.study, len(choice.q), np.zeros(0)
+    purse = None if bought is None else bought.purse
+    paid = none if purse is None else prices(study, choice.visit_loads, own_visits=pool.observer.own_visits)
+
+    def bound(own: Floats, costs: Floats, information: Floats) -> Bound:
+        return bound_of(
+            pool.objective,
+            count,
+            pool.blocks,
+            own,
+            pool.objective.value(information),
+            repeats=study.plan.repeats,
+            prior=pool.prior,
+            costs=None if purse is None else (purse.costs, costs),
+            budget=None if purse is None else purse.budget,
+        )
+
+    place = np.arange(count) if ordered is None else ordered.first_visited
+    q, visit_loads, own = choice.q[place], choice.visit_loads[place], choice.own[place]
+    grid = bound(pool.blocks[:0], none, pool.information(choice.grid))
+    information = pool.information(choice.own)
+    final = grid if choice.own is choice.grid else bound(own, paid[place] if len(paid) else none, information)
     return Plan(
         pool,
-        choice.q[place],
-        choice.visit_loads[place],
+        q,
+        visit_loads,
         grid,
         final,
         information,
         choice.refinement,
+        choice.guard,
+        robustness(pool, q, visit_loads, own),
         choice.notes,
         ordered,
         bought,
@@ -160,13 +195,14 @@ def _better(study: Study, planned: Callable[[Study], Plan]) -> Plan:
     except (Infeasible, NotIdentifiable):  # they do not fit into the budget
         return within
     by_size = study.plan.poses is None and not study.plan.budgeted
-    worth = [len(made.q) if by_size else made.final.value for made in (within, apart)]
+    worth = [len(made.q) if by_size else _reached(made) for made in (within, apart)]
     better = apart if worth[1] < worth[0] else within
     told = "own_visits" if better is apart else "same_visit"
     what = f"{max(worth)} experiments" if by_size else f"{max(worth):.5g}"
-    note = (
-        f'references = "auto" took {told}: the other way needs {what}'
-        if by_size
-        else (f'references = "auto" took {told}: the other way reaches {what}')
-    )
+    note = f'references = "auto" took {told}: the other way {"needs" if by_size else "reaches"} {what}'
     return replace(better, notes=(*better.notes, note))
+
+
+def _reached(made: Plan) -> float:
+    """What the plan was searched for: its value, on average over draws where there are some."""
+    return made.final.value if made.robust is None else made.robust.reached.value

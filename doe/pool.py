@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 from typing import Protocol
 
+import numpy as np
+
 from doe.candidates import Candidates, candidates
+from doe.draws import drawn_values
+from doe.earlier import NOTHING, Earlier, without_refused
+from doe.information import information_of
 from doe.objective import Objective, objective
-from doe.observations import Observer, identifiable, keep_columns, observer
+from doe.observations import Observer, identifiable, keep_columns, observer, stacked_visits
+from doe.regions import with_regions
 from doe.subject import Subject
 from identify.arrays import Floats
 from identify.identifiability import Identifiability
 from identify.study import Study
 
 __all__ = ["AnyPool", "Pool", "build_pool"]
+
+log = logging.getLogger("elastocal")
 
 
 class AnyPool(Protocol):
@@ -35,6 +44,17 @@ class AnyPool(Protocol):
     def objective(self) -> Objective:
         """The criterion on these parameters."""
 
+    @property
+    def prior(self) -> Floats | None:
+        """(p, p) information that is there already, in full, or None."""
+
+    @property
+    def draws(self) -> tuple[AnyPool, ...]:
+        """The same candidates at other nominal values; empty where the plan is made at the nominal ones."""
+
+    def information(self, blocks: Floats) -> Floats:
+        """(p, p) of blocks (n, k, p) and of what is there already."""
+
 
 @dataclass(frozen=True, eq=False)
 class Pool:
@@ -43,9 +63,12 @@ class Pool:
     Attributes:
         observer: How poses become blocks.
         candidates: The feasible candidates.
-        known: Parameters that they can identify.
+        known: Parameters that they, and what was measured, can identify.
         blocks: (N, k, p) on the identifiable parameters.
         objective: The criterion on these parameters.
+        prior: (p, p) information of what was measured, or None.
+        earlier: What was there before.
+        draws: The same candidates at draws of the nominal values; empty if the plan is for the nominal ones.
     """
 
     observer: Observer
@@ -53,18 +76,64 @@ class Pool:
     known: Identifiability
     blocks: Floats
     objective: Objective
+    prior: Floats | None = None
+    earlier: Earlier = NOTHING
+    draws: tuple[Pool, ...] = ()
+
+    def information(self, blocks: Floats) -> Floats:
+        """(p, p) of blocks (n, k, p) and of what is there already."""
+        return information_of(blocks, self.prior)
 
 
-def build_pool(study: Study, seed: int) -> Pool:
-    """Candidates, their blocks and the objective."""
+def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING) -> Pool:
+    """Candidates, their blocks and the objective; what was measured adds its information.
+
+    Frame and markers are the same for measured and new visits, so both tell about them.
+
+    Raises:
+        NotIdentifiable: The criterion needs what neither candidates nor measured visits show.
+        Infeasible: No candidate keeps to the constraints, or none is clear of what could not be measured.
+    """
+    study = with_regions(study)
+    drawn = drawn_values(study, seed) if study.plan.draws else ()
+    chosen = without_refused(study, candidates(study, seed=seed), earlier)
     watching = observer(study, own_visits=study.plan.references == "own_visits")
-    chosen = candidates(study, seed=seed)
-    blocks = watching.blocks(chosen.q[chosen.pose], chosen.visit_loads)
-    known = identifiable(blocks)
-    return Pool(
-        watching,
-        chosen,
-        known,
-        keep_columns(blocks, known.kept),
-        objective(watching, known, study.plan.criterion),
-    )
+    blocks = watching.blocks(chosen.visit_q, chosen.visit_loads)
+    measured = _measured(watching, earlier)
+    known = identifiable(blocks, measured)
+    own = _pool(watching, chosen, known, blocks, earlier, measured)
+    draws = tuple(_at_values(own, replace(study, nominal=values)) for values in drawn)
+    same = all(np.allclose(draw.blocks, own.blocks, rtol=1e-9, atol=0.0) for draw in draws)
+    if same and draws:
+        log.warning("%s: [plan] draws change nothing: these effects are linear in their values", study.path)
+    return own if same else replace(own, draws=draws)
+
+
+def _at_values(pool: Pool, study: Study) -> Pool:
+    """The same candidates and parameters at other nominal values."""
+    nominal = pool.observer
+    watching = replace(observer(study, own_visits=nominal.own_visits), reference=nominal.reference)
+    blocks = watching.blocks(pool.candidates.visit_q, pool.candidates.visit_loads)
+    measured = _measured(watching, pool.earlier)
+    return _pool(watching, pool.candidates, pool.known, blocks, pool.earlier, measured)
+
+
+def _measured(watching: Observer, earlier: Earlier) -> Floats | None:
+    """(V, k, p) blocks of what was measured, whose visits are as they were, whatever those of the plan will be."""
+    if earlier.measured is None:
+        return None
+    return stacked_visits(replace(watching, own_visits=False), earlier.measured)
+
+
+def _pool(
+    watching: Observer,
+    chosen: Candidates,
+    known: Identifiability,
+    blocks: Floats,
+    earlier: Earlier,
+    measured: Floats | None,
+) -> Pool:
+    """A pool on the kept parameters; ``blocks`` (N, k, p) are used up, ``measured`` (V, k, p) is the prior."""
+    prior = None if measured is None else information_of(measured[:, :, known.kept])
+    aim = objective(watching, known, watching.study.plan.criterion)
+    return Pool(watching, chosen, known, keep_columns(blocks, known.kept), aim, prior, earlier)

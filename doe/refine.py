@@ -22,7 +22,7 @@ import numpy as np
 
 from doe.chain import block_function, missing_columns
 from doe.criteria import Criterion, Mean, MinimumEigenvalue, Volume, Worst
-from doe.feasible import floor_points
+from doe.floor import floor_points
 from doe.observations import Observer
 from doe.symbolic_arm import heights_function, load_table
 from identify.arrays import Floats, Ints, frozen
@@ -36,6 +36,8 @@ _APART = 0.02  # rad: visits of one pose start this far from each other
 _CLEARANCE = 1e-6  # m above the floor that the solver keeps, so that its rounding does not break it
 _SHARPNESS = (30.0, 300.0)  # of the smooth maximum of criterion G, one run each; log(t)/s is what it is off by
 _CONDITION = 1e-9  # unit columns: below this a starting plan counts as singular
+_RADII = (0.5, 0.5, 0.5, 0.25, 0.0)  # how far refused poses may move in the next round, in steps that were refused
+_HALVINGS = 6  # of such a step
 _IPOPT: dict[str, Any] = {
     "ipopt.hessian_approximation": "limited-memory",
     "ipopt.limited_memory_max_history": 20,
@@ -151,7 +153,7 @@ def refine(
         max_std: (p,) standard deviation that each kept parameter must not exceed, in its unit; ``inf`` for no limit.
             A plan that exceeds it to begin with must not get worse in this.
         allowed: ``(n, dof) -> (n,)`` bool for what has no derivative (self-collision): poses that it refuses
-            may move half as far in the next round, and at last not at all.
+            are moved back until it does not, and may go on from there less far in the next round.
         others: What else belongs to the plan; then p above counts all parameters of the plan (but in ``kept``).
         max_iterations: Limit of the solver in each round.
 
@@ -227,11 +229,14 @@ class _Problem:
     def heights(self, q: Any) -> Any:
         """World heights (h, n) of what must stay above the floor, m, for ``q`` (dof, n), symbols or numbers."""
         study = self.observer.study
-        points = [np.unique(floor_points(study, loads).local, axis=0) for loads in self.visit_loads]
-        most = max(len(local) for local in points)
-        padded = [np.vstack([local, np.repeat(local[:1], most - len(local), axis=0)]) for local in points]
-        function = heights_function(study.robot, floor_points(study).joints, most)
-        return function.map(len(points))(q, np.vstack(padded).T)
+        found = [floor_points(study, loads) for loads in self.visit_loads]
+        points = [np.unique(np.column_stack([own.local, own.below]), axis=0) for own in found]
+        most = max(len(own) for own in points)
+        padded = np.array([np.vstack([own, np.repeat(own[:1], most - len(own), axis=0)]) for own in points])
+        joints = floor_points(study).joints
+        function = heights_function(study.robot, joints, most)
+        below = np.hstack([np.zeros((len(points), len(joints))), padded[:, :, 3]])
+        return function.map(len(points))(q, padded[:, :, :3].reshape(-1, 3).T) - below.T
 
     def keeps(self, moved: Floats, q: Floats) -> bool:
         """True if nothing is below the floor and no parameter is beyond its limit and worse than in the plan ``q``."""
@@ -321,22 +326,40 @@ def _criterion(name: str, basis: Floats, target: Floats | None, guard: Floats) -
 def _solve(
     problem: _Problem, q: Floats, allowed: Callable[[Floats], np.ndarray] | None, max_iterations: int
 ) -> tuple[Floats, int, str]:
-    """Joint values (n, dof) of the solver's last iterate, its iterations and its last word."""
+    """Best joint values (n, dof) of all rounds, the iterations and the solver's last word."""
     solver = _solver(problem, max_iterations)
     sharpness = _SHARPNESS if isinstance(problem.criterion, Worst) else (1.0,)
     lower, upper, found = problem.lower, problem.upper, _apart(problem, q)
-    iterations = 0
-    for radius in (0.5, 0.25, 0.0, 0.0):
+    iterations, best, least = 0, q, np.inf
+    for radius in _RADII:
         for sharp in sharpness:
             found, steps, status = _run(solver, problem, sharp, found, lower, upper)
             iterations += steps
-        good = np.ones(len(q), dtype=bool) if allowed is None else np.asarray(allowed(found))
-        if good.all():
+        kept = found if allowed is None else _pulled_back(found, q, allowed)
+        refused = (kept != found).any(axis=1)
+        if (value := problem.value(kept)) < least:
+            best, least = kept, value
+        if not refused.any():
             break
-        reach = np.where(good[:, None], np.inf, radius * np.abs(found - q))
-        lower, upper = np.maximum(lower, q - reach), np.minimum(upper, q + reach)
-        found = np.where(good[:, None], found, q)
-    return found, iterations, status
+        reach = np.where(refused[:, None], radius * np.abs(found - kept), np.inf)
+        lower, upper = (np.clip(kept + side * reach, problem.lower, problem.upper) for side in (-1.0, 1.0))
+        found = kept
+    return best, iterations, status
+
+
+def _pulled_back(found: Floats, q: Floats, allowed: Callable[[Floats], np.ndarray]) -> Floats:
+    """Poses (n, dof) that are refused, moved back towards the ones they come from until they are allowed."""
+    kept = np.array(found)
+    share = np.ones(len(q))
+    for _ in range(_HALVINGS):
+        refused = ~np.asarray(allowed(kept))
+        if not refused.any():
+            return kept
+        share[refused] *= 0.5
+        kept[refused] = (q + share[:, None] * (found - q))[refused]
+    refused = ~np.asarray(allowed(kept))
+    kept[refused] = q[refused]
+    return kept
 
 
 def _joint_scale(problem: _Problem) -> Floats:

@@ -1,6 +1,14 @@
-"""The shortest route through groups of places of which one each is visited, by the routing solver of OR-Tools."""
+"""The shortest route through groups of places of which one each is visited, by the routing solver of OR-Tools.
+
+The solver runs in a process of its own, see `doe.routing_solver`.
+"""
 
 from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 
@@ -8,6 +16,7 @@ from identify.arrays import Floats, Ints
 
 __all__ = ["short_route"]
 
+_SOLVER = Path(__file__).with_name("routing_solver.py")
 _LARGEST = 10**12  # cost of the dearest move in the solver's whole numbers
 
 
@@ -21,20 +30,11 @@ def short_route(costs: Floats, group: Ints) -> Ints:
     Returns:
         (G,) places in the order of visiting.
     """
-    from ortools.constraint_solver import pywrapcp
-
     start = len(group)
     largest = np.max(costs, where=np.isfinite(costs), initial=0.0)
     whole = np.where(np.isfinite(costs), costs, 2 * largest) / max(largest, 1e-300) * (_LARGEST / (start + 1))
     whole[:, start] = 0.0
-    manager = pywrapcp.RoutingIndexManager(start + 1, 1, start)
-    model = pywrapcp.RoutingModel(manager)
-    model.SetArcCostEvaluatorOfAllVehicles(model.RegisterTransitMatrix(np.rint(whole).astype(np.int64).tolist()))
-    for one in range(int(group.max()) + 1):
-        model.AddDisjunction([manager.NodeToIndex(int(place)) for place in np.flatnonzero(group == one)])
-    found = model.SolveWithParameters(pywrapcp.DefaultRoutingSearchParameters())
-    route, index = [], found.Value(model.NextVar(model.Start(0)))
-    while not model.IsEnd(index):
-        route.append(manager.IndexToNode(index))
-        index = found.Value(model.NextVar(index))
-    return np.array(route, dtype=np.int64)
+    task = json.dumps([np.rint(whole).astype(np.int64).tolist(), group.tolist()])
+    program = [sys.executable, "-P", str(_SOLVER)]
+    done = subprocess.run(program, input=task, capture_output=True, check=True, text=True)
+    return np.array(json.loads(done.stdout), dtype=np.int64)

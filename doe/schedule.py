@@ -68,9 +68,15 @@ class Schedule:
         for key in ("visit_loads", "experiment"):
             object.__setattr__(self, key, frozen(getattr(self, key), np.int64))
 
-    def conditions(self, study: Study) -> Experiment:
-        """The visits as an experiment, with approaches and times where the study states them."""
-        experiment = full_experiment(self.q, self.visit_loads, study.loads, study.markers)
+    @property
+    def first_visited(self) -> Ints:
+        """(n,) experiments in the order of their first visits."""
+        first = np.unique(self.experiment, return_index=True)[1]
+        return self.experiment[np.sort(first)]
+
+    def conditions(self, study: Study, names: tuple[str, ...] | None = None) -> Experiment:
+        """The visits as an experiment, with approaches and times where the study states them; ``names`` (V,)."""
+        experiment = full_experiment(self.q, self.visit_loads, study.loads, study.markers, names)
         shot = experiment.row_shot
         return replace(
             experiment,
@@ -102,7 +108,7 @@ def schedule(
         measure: What a drift is measured by.
         seed: Seed of the search.
         home: (joints,) where the robot comes from and goes around obstacles, or None.
-        free: Which moves between poses are free, or None.
+        free: Which moves between poses are free, or None: all are.
 
     Raises:
         Infeasible: No order avoids moves that are not free.
@@ -114,11 +120,19 @@ def schedule(
         experiment = np.repeat(experiment, visit_loads.shape[1])
         q, visit_loads = q[experiment], visit_loads.reshape(-1, 1)
         drift = drift.reshape(-1, 1, *drift.shape[2:])
+    unloaded = np.array([load.unloaded for load in study.loads])
     speeds = {} if times is None else {"speed": times.speed, "speed_slide": times.speed_slide}
-    travel = travel_between(q, study.robot.prismatic, home=home, free=free, **speeds)
+    travel = travel_between(
+        q,
+        study.robot.prismatic,
+        home=home,
+        free=free,
+        hung=np.isin(np.arange(len(unloaded)), visit_loads) & ~unloaded,
+        **speeds,
+    )
     visits = Visits(
         visit_loads,
-        np.array([load.unloaded for load in study.loads]),
+        unloaded,
         travel,
         pace_of(times),
         (drift * typical_drift(observer)).reshape(*visit_loads.shape, -1),
@@ -128,8 +142,8 @@ def schedule(
     order, fewest = best_order(visits, np.random.default_rng([_SEED, seed]))
     naive = as_found(visits)
     names = full_experiment(q[order.visit], visit_loads, study.loads, study.markers).visits
-    travel.check(order.visit, names, str(study.path))
-    seconds, degrees, detours = travel.along(order.visit)
+    travel.check(order.visit, order.carried, names, str(study.path))
+    seconds, degrees, detours = travel.along(order.visit, order.carried)
     return Schedule(
         q=q[order.visit],
         visit_loads=np.take_along_axis(visit_loads[order.visit], order.reading, axis=1),
@@ -167,7 +181,7 @@ def time_as_given(study: Study, experiment: Experiment) -> float | None:
     travel = travel_between(poses, study.robot.prismatic, speed=times.speed, speed_slide=times.speed_slide)
     states = np.where(experiment.shot_unloaded, NOTHING, experiment.shot_load)
     reading = np.where(first, times.pose, times.reading).sum()
-    moves = travel.along(np.arange(len(poses)))[0]
+    moves = travel.along(np.arange(len(poses)), np.full(len(poses), NOTHING))[0]
     return float(times.start + reading + moves + times.load_change * lifts_of(states))
 
 

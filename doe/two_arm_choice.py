@@ -9,7 +9,7 @@ import numpy as np
 
 from doe.bounds import joined
 from doe.choice import off_grid
-from doe.guard import blind_spot, guarded_search
+from doe.guard import Guard, blind_spot, guarded_search
 from doe.information import information_of
 from doe.refine import Others, Refinement
 from doe.two_arm_pool import TwoArmPool, kept_of
@@ -46,6 +46,7 @@ class TwoArmChoice:
         grid: (n, k, p) blocks before refinement.
         own: (n, k', p) blocks of the plan; ``grid`` itself if refinement gained nothing.
         refinements: What the refinement did in its turns; empty without one.
+        guard: What was weighed in.
         notes: What the user should know.
     """
 
@@ -53,6 +54,7 @@ class TwoArmChoice:
     grid: Floats
     own: Floats
     refinements: tuple[Refinement, ...]
+    guard: Guard
     notes: tuple[str, ...]
 
 
@@ -60,7 +62,8 @@ def choose_for_both(pool: TwoArmPool, count: int, seed: int) -> TwoArmChoice:
     """Search ``count`` experiments of both arms together on their grids and refine them."""
     aim, asked = pool.objective, pool.observer.settings
     log.info("%d candidates, %d parameters; searching %d experiments", len(pool.blocks), aim.size, count)
-    chosen, best, notes = guarded_search(pool, count, seed)
+    chosen, guard, notes = guarded_search(pool, count, seed)
+    best = guard.best
     grid = own = pool.blocks[chosen]
     arms = _visits(pool, chosen)
     refinements: tuple[Refinement, ...] = ()
@@ -75,7 +78,7 @@ def choose_for_both(pool: TwoArmPool, count: int, seed: int) -> TwoArmChoice:
     notes = (*notes, *(f"not refined: {reason}" for reason in reasons if reason))
     if best is not None:
         notes = (*notes, *blind_spot(pool, own, best))
-    return TwoArmChoice(arms, grid, own, refinements, notes)
+    return TwoArmChoice(arms, grid, own, refinements, guard, notes)
 
 
 def _visits(pool: TwoArmPool, chosen: Ints) -> tuple[ArmVisits, ArmVisits]:

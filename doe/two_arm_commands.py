@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from doe.accuracy import Accuracy
+from doe.curve import Judge, accuracy_curve, fewest_shown, sizes
+from doe.earlier_files import NO_FILES, EarlierFiles
 from doe.information import standard_deviations
 from doe.judgement import (
     bound_json,
@@ -14,18 +17,20 @@ from doe.judgement import (
     confusability_lines,
     counts,
     criteria,
+    curve_json,
+    curve_lines,
     errors_at_test_poses,
     judgement,
     judgement_lines,
     weakest,
 )
-from doe.order_report import approach_json, in_turn, order_json, order_lines
-from doe.schedule import Schedule, time_as_given
-from doe.two_arm_plan import TwoArmPlan, evaluate_both, plan_for_both, relative_accuracy
+from doe.objective import Objective
+from doe.order_report import approach_json, conditions_of, in_turn, order_json, order_lines
+from doe.schedule import time_as_given
+from doe.two_arm_plan import TwoArmEvaluation, TwoArmPlan, evaluate_both, plan_for_both, relative_accuracy
+from identify.arrays import Floats
 from identify.commands import Outcome
 from identify.errors import InputError
-from identify.experiment import Experiment, full_experiment
-from identify.study import Study
 from identify.tables import load_plan, plan_csv, plan_experiment
 from identify.two_arm_config import load_two_arm_study
 from identify.two_arm_study import TwoArmStudy
@@ -35,8 +40,17 @@ __all__ = ["run_evaluate_both", "run_plan_for_both"]
 _APART = "poses are checked for each arm alone: keep the arm that is not measured out of the way, unloaded and still"
 
 
-def run_plan_for_both(study_file: Path, *, seed: int) -> Outcome:
-    """Pick poses and loads of both arms for a study of two arms."""
+def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_FILES) -> Outcome:
+    """Pick poses and loads of both arms for a study of two arms.
+
+    Raises:
+        InputError: The file is wrong, or something that was measured before is named.
+    """
+    if before != NO_FILES:
+        raise InputError(
+            f"{study_file}: --measured, --result, --earlier and --unreachable belong to a study of one arm; this one "
+            "has [[arms]]. Plan for the study of the arm that is measured, which stands under [[arms]] study"
+        )
     study = load_two_arm_study(study_file)
     made = plan_for_both(study, seed=seed)
     pool, arms = made.pool, made.choice.arms
@@ -52,6 +66,7 @@ def run_plan_for_both(study_file: Path, *, seed: int) -> Outcome:
         "joint_only": None,
         "std": standard_deviations(made.information),
         **counts(*pool.candidates),
+        "curve": _curve_of_plan(study, made, seed),
         "time_s": in_turn(own.time for own in made.schedules if own is not None),
         "order": {
             arm.name: None if own is None else order_json(own)
@@ -61,20 +76,13 @@ def run_plan_for_both(study_file: Path, *, seed: int) -> Outcome:
         "notes": [*made.choice.notes, _APART],
     }
     tables = {
-        _plan_name(arm.name): plan_csv(_conditions(arm.study, own), arm.study)
+        _plan_name(arm.name): plan_csv(conditions_of(own, arm.study), arm.study)
         for arm, own in zip(study.arms, made.schedules, strict=True)
     }
     lines = [*_lines(content)]
     for arm, own in zip(study.arms, made.schedules, strict=True):
-        lines += [f"{arm.name}: {line}" for line in ([] if own is None else order_lines(own))]
+        lines += [f"{arm.name}: {line}" for line in order_lines(own)]
     return Outcome("plan", content, study.inputs, tables, tuple(lines))
-
-
-def _conditions(study: Study, ordered: Schedule | None) -> Experiment:
-    """The visits of one arm; a plan without any still has its columns."""
-    if ordered is not None:
-        return ordered.conditions(study)
-    return full_experiment(np.zeros((0, study.robot.n)), np.zeros((0, 1), dtype=np.int64), study.loads, study.markers)
 
 
 def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:
@@ -99,6 +107,7 @@ def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:
         "weakest": weakest(judged.observer, judged.known, aim, judged.covariance),
         "std": standard_deviations(judged.information),
         **counts(*judged.candidates),
+        "curve": _curve_of_poses(study, judged, seed),
         "confusability": _by_arm(study, confused),
         "time_s": in_turn(time_as_given(arm.study, e) for arm, e in zip(study.arms, experiments, strict=True)),
         "notes": [],
@@ -140,7 +149,41 @@ def _plan_files(study: TwoArmStudy, folder: Path) -> tuple[Path, ...]:
 def _lines(content: dict[str, Any]) -> tuple[str, ...]:
     """The summary, with the visits of each arm in front."""
     shares = ", ".join(f"{number} of {name}" for name, number in content["arms"].items())
-    return (f"experiments by arm: {shares}", *judgement_lines(content, content["poses"]))
+    lines = judgement_lines(content, content["poses"])
+    return (f"experiments by arm: {shares}", *lines, *curve_lines(content["curve"]))
+
+
+def _curve_of_plan(study: TwoArmStudy, made: TwoArmPlan, seed: int) -> list[dict[str, Any]]:
+    """The curve around the size of a plan; empty without tasks or where the study does not want it."""
+    aim, count = made.pool.objective, len(made.choice.grid)
+    if aim.rows is None or not study.plan.curve:
+        return []
+    counts = sizes(2 * count, first=fewest_shown(made.pool), also=count)
+    guard = made.choice.guard
+    return curve_json(
+        accuracy_curve(aim, study.plan, _judge(study, aim), counts, seed, pool=made.pool, guard=guard), given=False
+    )
+
+
+def _curve_of_poses(study: TwoArmStudy, judged: TwoArmEvaluation, seed: int) -> list[dict[str, Any]]:
+    """Random and designed plans of at most as many visits; the visits of two files have no common order."""
+    aim, count = judged.objective, sum(judged.visits)
+    if aim.rows is None or not study.plan.curve:
+        return []
+    return curve_json(
+        accuracy_curve(aim, study.plan, _judge(study, aim), sizes(count), seed, pool=judged.pool), given=False
+    )
+
+
+def _judge(study: TwoArmStudy, aim: Objective) -> Judge:
+    """``(p, p) covariance -> accuracy`` at the tasks, which the objective has."""
+
+    def judge(covariance: Floats) -> Accuracy:
+        found = relative_accuracy(study, aim, covariance)
+        assert found is not None, "an objective without tasks"
+        return found
+
+    return judge
 
 
 def _refinement(made: TwoArmPlan) -> dict[str, Any] | None:

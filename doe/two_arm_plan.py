@@ -13,6 +13,7 @@ from doe.bounds import Bound, bound_of, joined
 from doe.candidates import Candidates
 from doe.drift import yardstick
 from doe.information import covariance_of, information_of
+from doe.moves import stated_moves
 from doe.objective import Objective, objective
 from doe.observations import identifiable, keep_columns, stacked_visits
 from doe.schedule import Schedule, schedule
@@ -68,6 +69,7 @@ class TwoArmEvaluation:
         information: (p, p) of them.
         visits: Number of visits of each arm.
         candidates: What it was compared with; None for an arm where nothing keeps to the constraints.
+        pool: Blocks of both arms' candidates, where both have some.
         bound: Value and proven bound.
     """
 
@@ -77,6 +79,7 @@ class TwoArmEvaluation:
     information: Floats
     visits: tuple[int, int]
     candidates: tuple[Candidates | None, Candidates | None]
+    pool: TwoArmPool | None
     bound: Bound
 
     @property
@@ -119,9 +122,12 @@ def _schedules(pool: TwoArmPool, choice: TwoArmChoice, information: Floats, seed
     for side, own in enumerate(choice.arms):
         kept, place = kept_of(pool.observer, pool.known, side)
         arm = pool.observer.arms[side]
-        found.append(
-            schedule(arm, own.q, own.visit_loads, kept, gain[:, place], measure, seed=seed) if len(own.q) else None
-        )
+        cell = arm.study.constraints
+        ordered = None
+        if len(own.q):
+            ordered = schedule(arm, own.q, own.visit_loads, kept, gain[:, place], measure, seed=seed, home=cell.home,
+                               free=stated_moves(arm.study))  # fmt: skip
+        found.append(ordered)
     return tuple(found)
 
 
@@ -153,8 +159,10 @@ def evaluate_both(study: TwoArmStudy, experiments: Sequence[Experiment], *, seed
             blocks = watching.blocks(side, found.visit_q, found.visit_loads)
             pool = joined(pool, keep_columns(blocks, known.kept))
     bound = bound_of(aim, len(own), pool, own, aim.value(information), repeats=study.plan.repeats)
-    visits = (len(parts[0]), len(parts[1]))
-    return TwoArmEvaluation(watching, known, aim, information, visits, chosen, bound)
+    visits, (first, second), among = (len(parts[0]), len(parts[1])), chosen, None
+    if first is not None and second is not None:
+        among = TwoArmPool(watching, (first, second), known, pool, aim)
+    return TwoArmEvaluation(watching, known, aim, information, visits, chosen, among, bound)
 
 
 def relative_accuracy(study: TwoArmStudy, aim: Objective, covariance: Floats) -> Accuracy | None:

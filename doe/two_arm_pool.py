@@ -8,6 +8,8 @@ import numpy as np
 
 from doe.bounds import joined
 from doe.candidates import Candidates, candidates
+from doe.design_choices import open_choices
+from doe.information import information_of
 from doe.objective import Objective, objective
 from doe.observations import identifiable, keep_columns
 from doe.two_arms import TwoArmObserver, two_arm_observer
@@ -36,6 +38,19 @@ class TwoArmPool:
     known: Identifiability
     blocks: Floats
     objective: Objective
+
+    @property
+    def prior(self) -> None:
+        """Nothing is known before."""
+
+    @property
+    def draws(self) -> tuple[()]:
+        """Plans for two arms are made at the nominal values."""
+        return ()
+
+    def information(self, blocks: Floats) -> Floats:
+        """(p, p) of blocks (n, k, p)."""
+        return information_of(blocks)
 
     def of_arm(self, chosen: Ints, side: int) -> Ints:
         """Indices into the candidates of one arm, for those of the (n,) chosen candidates that are its own."""
@@ -69,6 +84,11 @@ def build_two_arm_pool(study: TwoArmStudy, seed: int) -> TwoArmPool:
 def drawn(study: TwoArmStudy, side: int, seed: int) -> Candidates:
     """The candidates of one arm: half of what the plan of both asks for, by the constraints of its own study."""
     own = study.arms[side].study
+    if open_choices(own):
+        raise InputError(
+            f"{own.path}: the tracker's station or the markers are still to be chosen; plan this arm alone first and "
+            "name the chosen.toml that this writes in [[arms]] study"
+        )
     count = max(study.plan.candidates // 2, 1)
     return candidates(replace(own, plan=replace(own.plan, candidates=count)), seed=seed)
 

@@ -20,6 +20,7 @@ from identify.kinematics import forward
 from identify.robot import Robot
 
 __all__ = [
+    "accuracy_curve",
     "canvas",
     "distinct",
     "efficiencies",
@@ -282,6 +283,44 @@ def knee(
     _plain_log(axes.yaxis, np.concatenate([bound, middle]))
     _pose_axis(axes, counts)
     axes.set_ylabel("expected error at the test poses, rms (µm)")
+    _tidy(axes)
+    return _figure(axes)
+
+
+def accuracy_curve(
+    counts: Ints,
+    bound: Floats,
+    errors: Mapping[str, Floats],
+    *,
+    tolerance: float | None = None,
+    axes: Axes | None = None,
+) -> Figure:
+    """Expected error against the number of experiments, from the key ``curve`` of plan.json or evaluate.json.
+
+    Args:
+        counts: (K,) numbers of experiments, ascending.
+        bound: (K,) no plan of as many has a smaller error, mm; nan where nothing is known.
+        errors: By name, (K,) errors of plans, mm; nan where a plan sees too little.
+        tolerance: A stated tolerance, mm; drawn as a line.
+        axes: Where to draw.
+    """
+    axes = canvas().axes[0] if axes is None else axes
+    known = np.concatenate([bound, *errors.values()])
+    known = known[np.isfinite(known) & (known > 0)]
+    low, high = 0.8 * float(known.min()), 1.6 * float(known.max())
+    axes.fill_between(counts, low, np.where(np.isfinite(bound), bound, low), color=PALE, lw=0, label="impossible")
+    colours, others = {"designed": AFTER, "random": BEFORE}, cycle(_SERIES[2:])
+    for name, values in errors.items():
+        colour = colours[name] if name in colours else next(others)
+        axes.plot(counts, values, "o-", color=colour, ms=3.2, lw=1.5, label=name)
+    if tolerance is not None:
+        axes.axhline(tolerance, color=TRUTH, lw=1.0, ls=(0, (4, 2)), label=f"tolerance {tolerance:g} mm")
+    axes.set_yscale("log")
+    axes.set_ylim(low, high)
+    _plain_log(axes.yaxis, known)
+    _pose_axis(axes, counts)
+    axes.set_ylabel("expected error at the test poses (mm)")
+    axes.legend(frameon=False, fontsize=8, loc="upper right")
     _tidy(axes)
     return _figure(axes)
 

@@ -19,9 +19,9 @@ from identify.equilibrium import linear_misses
 from identify.errors import InputError
 from identify.fit import absorb_frame
 from identify.identification import identify
-from identify.model import Model, model_of
+from identify.model import Model, known_nominal, model_of
 from identify.simulate import default_placement, simulate
-from identify.study import Noise, Study
+from identify.study import Noise
 from identify.summary import identification_json, load_fitted, predict
 from identify.tables import load_measurements, load_plan, measurements_csv, plan_experiment, predicted_csv
 from identify.truth import Truth, load_truth
@@ -109,7 +109,7 @@ def run_simulate(study_file: Path, plan_file: Path, truth_file: Path | None, *, 
     plan = load_plan(plan_file, study)
     truth = Truth() if truth_file is None else load_truth(truth_file, study)
     study = replace(study, options=truth.options if truth_file else study.options)
-    model = model_of(study, truth.effects, _known_nominal(study, truth))
+    model = model_of(study, truth.effects, known_nominal(study, truth.effects))
     values = _true_values(model, truth)
     noise = _solid(truth.noise or study.noise)
     start = default_placement(noise, frame_free=study.frame_free)
@@ -130,12 +130,6 @@ def run_simulate(study_file: Path, plan_file: Path, truth_file: Path | None, *, 
     inputs = (*study.inputs, plan_file, *(() if truth_file is None else (truth_file,)))
     lines = (f"{len(data.positions)} readings of {len(data.experiment.visits)} poses", *misses_lines(content))
     return Outcome("simulate", content, inputs, {"measurements.csv": measurements_csv(data, study)}, lines)
-
-
-def _known_nominal(study: Study, truth: Truth) -> dict[str, float]:
-    """Nominal values of the study that the truth's model has too."""
-    names = model_of(study, truth.effects, {}).names
-    return {name: value for name, value in study.nominal.items() if name in names}
 
 
 def _true_values(model: Model, truth: Truth) -> np.ndarray:

@@ -15,14 +15,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from identify.arrays import frozen
+from identify.cell_sections import ConstraintsSection
 from identify.errors import InputError
 from identify.problems import Problems, read_toml, unknown
 from identify.robot import STANDARD_GRAVITY, Robot
 from identify.robot_files import find_robot_file, load_robot
 from identify.schema import (
     EFFECT_NAMES,
-    STUDY_SECTIONS,
-    ConstraintsSection,
     FramesSection,
     ModelChoiceSection,
     ModelSection,
@@ -30,11 +29,11 @@ from identify.schema import (
     PlanSection,
     ReduceSection,
     Section,
-    StudyFile,
     ToolSection,
 )
 from identify.study import ModelChoice, Noise, Study
 from identify.study_checks import check_study
+from identify.study_file import STUDY_SECTIONS, StudyFile
 from identify.study_records import (
     constraints,
     load_cases,
@@ -42,14 +41,20 @@ from identify.study_records import (
     noise_from,
     plan_settings,
     reduce_settings,
+    standing,
+    stations,
     test_pose,
+    test_region,
     times_from,
 )
 from identify.units import DEG, MM
 
 __all__ = ["load_study", "split_options"]
 
+_POINTS = ("markers", "fixed_markers", "marker_choices", "marker_normals")  # tables of id -> three numbers
+
 _T = TypeVar("_T", bound=Section)
+_NUMBERS = {"nominal", "nominal_std_percent", "values"}  # tables of numbers by parameter name
 
 
 def load_study(path: str | Path) -> Study:
@@ -90,11 +95,12 @@ def _tables(data: Mapping[str, Any], problems: Problems) -> StudyFile:
         if name in STUDY_SECTIONS or name == "models":
             continue
         problems.add(f"[{name}]", unknown("table", name, [*STUDY_SECTIONS, "models"]))
-    for name in ("robot", "markers", "noise"):
+    needed = ("robot", "noise") if data.get("marker_choices") else ("robot", "markers", "noise")
+    for name in needed:
         if name not in data:
             problems.add(f"[{name}]", "is missing")
     model, options = split_options(data.get("model", {}), ModelSection, "[model]", problems)
-    points = {name: {"points": data.get(name, {})} for name in ("markers", "fixed_markers")}
+    points = {name: {"points": data.get(name, {})} for name in _POINTS}
     tables: dict[str, Any] = {**data, **points, "model": model}
     found: dict[str, Any] = {}
     for name, (schema, several) in STUDY_SECTIONS.items():
@@ -143,7 +149,7 @@ def split_options(
     if not isinstance(table, Mapping):
         return table, MappingProxyType({})
     keys = list(schema.model_fields)
-    own = {key: _flat(value) if key in {"nominal", "values"} else value for key, value in table.items() if key in keys}
+    own = {key: _flat(value) if key in _NUMBERS else value for key, value in table.items() if key in keys}
     options: dict[str, Mapping[str, Any]] = {}
     for key, value in table.items():
         if key in keys:
@@ -198,14 +204,16 @@ def _robot(file: StudyFile, path: Path, problems: Problems) -> tuple[Robot | Non
 def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path, *, timed: bool) -> Study:
     """The study of a file without problems; ``timed`` if it says how long measuring takes."""
     frames, model = file.frames or FramesSection(), file.model or ModelSection()
-    loads = load_cases(file.loads or [])
+    loads, possible = load_cases(file.loads or []), stations(file.tracker_stations or [])
     costs = {table.id: table.cost for table in file.loads or []}
+    plan = plan_settings(file.plan or PlanSection(), loads, possible)
+    noise = noise_from(file.noise or NoiseSection(), Noise())
     return Study(
         path=path,
         robot=robot,
         loads=loads,
-        markers=markers(file.markers, file.fixed_markers),
-        noise=noise_from(file.noise or NoiseSection(), Noise()),
+        markers=markers(file.markers, file.fixed_markers, file.marker_choices, file.marker_normals),
+        noise=standing(noise, possible, plan.stations),
         frame_free=frames.measurement == "free",
         markers_fitted=frames.markers == "nominal",
         effects=tuple(model.effects),
@@ -213,16 +221,20 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path, *, timed
         equilibrium=model.equilibrium,
         rows=model.rows,
         nominal=MappingProxyType(dict(model.nominal)),
+        nominal_std_percent=MappingProxyType(dict(model.nominal_std_percent)),
         options=file.options,
         test_poses=tuple(test_pose(pose, robot, pose.weight) for pose in file.test_poses or []),
-        plan=plan_settings(file.plan or PlanSection(), loads),
-        constraints=constraints(file.constraints or ConstraintsSection()),
+        test_regions=tuple(test_region(region, robot) for region in file.test_regions or []),
+        plan=plan,
+        constraints=constraints(file.constraints or ConstraintsSection(), robot.prismatic),
         reduce=reduce_settings(file.reduce or ReduceSection()),
         models=tuple(
             ModelChoice(choice.name, tuple(choice.effects), MappingProxyType({**file.options, **own}))
             for choice, own in file.models
         ),
         inputs=(path, robot_file),
+        stations=possible,
+        marker_choices=tuple(file.marker_choices.points if file.marker_choices else ()),
         times=times_from(file.times) if timed and file.times is not None else None,
         load_costs=tuple(costs.get(load.name, 0.0) for load in loads),
     )

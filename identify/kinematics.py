@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identify.arrays import Floats
+from identify.arrays import Floats, Ints
 from identify.errors import InputError
 from identify.robot import Robot
 
@@ -37,6 +37,11 @@ class Frames:
     def axis(self) -> Floats:
         """(V, n, 3) joint axes."""
         return self.rotation[..., 2]
+
+    def taken(self, poses: Ints) -> Frames:
+        """The frames of some of the poses, by their indices (W,)."""
+        arrays = (self.rotation, self.origin, self.centre, self.flange_rotation, self.flange_origin)
+        return Frames(self.robot, *(array[poses] for array in arrays))
 
     def point(self, local: Floats) -> Floats:
         """Points of the flange frame in the base frame: ``local`` (3,) or (V, 3) -> (V, 3), m."""

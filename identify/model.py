@@ -15,7 +15,7 @@ from identify.robot import Robot
 from identify.study import RowAlgebra, Study
 from identify.units import MM, MRAD
 
-__all__ = ["Model", "effects_of", "model_of", "with_effect", "without_nuisance"]
+__all__ = ["Model", "effects_of", "known_nominal", "model_of", "with_effect", "without_nuisance"]
 
 _MARKER_LIMIT = 5.0  # mm or mrad; markers are better known than this without any fit
 _FRAME = (*((axis, "mm", MM) for axis in "xyz"), *((f"r{axis}", "mrad", MRAD) for axis in "xyz"))
@@ -116,6 +116,12 @@ def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapp
     loaded = study.equilibrium == "loaded"
     known = study.robot.masses_known
     return Model(study.robot, bound, parameters, len(frame), len(markers), known, loaded, len(turns), study.rows)
+
+
+def known_nominal(study: Study, effects: tuple[str, ...] | None) -> dict[str, float]:
+    """Starting values of the study that a model with these effects (None: the study's) has too."""
+    names = model_of(study, effects, {}).names
+    return {name: value for name, value in study.nominal.items() if name in names}
 
 
 def effects_of(study: Study, names: tuple[str, ...], others: tuple[Effect, ...] = ()) -> tuple[Effect, ...]:

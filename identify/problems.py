@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ from pydantic_core import ErrorDetails
 
 from identify.errors import InputError
 
-__all__ = ["Problems", "nearest", "read_toml", "unknown"]
+__all__ = ["Problems", "name_robot_from", "nearest", "read_toml", "unknown"]
 
 MAX_BYTES = 10_000_000
 
@@ -23,7 +24,8 @@ _SHOWN = 50  # problems of one file that a message holds
 _M = TypeVar("_M", bound=BaseModel)
 
 #: Tables inside tables: they get a heading of their own in messages.
-_INNER_TABLES = {"tracker", "nominal", "values"}
+_INNER_TABLES = {"tracker", "nominal", "values", "payload_diagram", "visibility"}
+_INNER_LISTS = {"boxes", "walls"}  # and lists of tables inside tables
 
 _TYPES = {
     "float_type": "a number expected",
@@ -63,6 +65,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: a value cannot be read: {error}") from None
     except RecursionError:
         raise InputError(f"{path}: lists or tables are nested too deeply; four levels are enough") from None
+
+
+def name_robot_from(out: Path, data: dict[str, Any], study: Path) -> None:
+    """Change the tables of a study file so that they find the robot file from the folder ``out`` too."""
+    beside = study.parent / str(data["robot"]["model"])
+    if beside.exists():
+        data["robot"]["model"] = Path(os.path.relpath(beside, out)).as_posix()
 
 
 class Problems:
@@ -106,7 +115,9 @@ class Problems:
     def _note(self, schema: type[BaseModel], problem: ErrorDetails, heading: str) -> None:
         """Note what pydantic found."""
         kind, value, context = problem["type"], problem["input"], problem.get("ctx", {})
-        place = [part for part in problem["loc"] if part not in {"points", "[key]"}]
+        place = [part for part in problem["loc"] if part != "[key]"]
+        if set(schema.model_fields) == {"points"} and place[:1] == ["points"]:  # the whole table is a map of points
+            place = place[1:]
         if kind == "extra_forbidden":
             what = unknown("key", str(place[-1]), _keys(schema, place[:-1]))
         elif kind == "literal_error":
@@ -188,6 +199,8 @@ def _key(heading: str, place: Sequence[int | str]) -> str:
     """A key as the user finds it: ``[[loads]] 2 mass_kg``, ``[noise.tracker] radial_um``, ``[plan] loads, entry 2``."""
     if len(place) > 1 and place[0] in _INNER_TABLES:
         heading, place = f"{heading[:-1]}.{place[0]}]", place[1:]
+    if len(place) > 1 and place[0] in _INNER_LISTS and isinstance(place[1], int):
+        heading, place = f"[{heading[:-1]}.{place[0]}]] {place[1] + 1}", place[2:]
     names = ".".join(str(part) for part in place if isinstance(part, str))
     entries = "".join(f", entry {part + 1}" for part in place if isinstance(part, int))
     return " ".join(filter(None, [heading, names])) + entries

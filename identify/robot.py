@@ -13,7 +13,7 @@ import numpy as np
 from identify.arrays import Floats, frozen
 from identify.errors import InputError
 
-__all__ = ["STANDARD_GRAVITY", "ControllerMap", "Robot"]
+__all__ = ["STANDARD_GRAVITY", "ControllerMap", "Robot", "Shape"]
 
 STANDARD_GRAVITY = 9.80665  # m/s^2, standard acceleration (CGPM 1901)
 
@@ -58,6 +58,27 @@ class ControllerMap:
 
 
 @dataclass(frozen=True, eq=False)
+class Shape:
+    """A collision shape of one body: a capsule.
+
+    Attributes:
+        name: The link it belongs to.
+        body: 0 for the base, i for what joint i (counted from 1) moves.
+        ends: (2, 3) ends of its axis: in the base frame for the base, else in the moved frame of joint i, m.
+        radius: m.
+    """
+
+    name: str
+    body: int
+    ends: Floats
+    radius: float
+
+    def __post_init__(self) -> None:
+        """Make the array read-only."""
+        object.__setattr__(self, "ends", frozen(self.ends))
+
+
+@dataclass(frozen=True, eq=False)
 class Robot:
     """A serial chain with ``n`` actuated joints.
 
@@ -85,6 +106,7 @@ class Robot:
         tool_centre: (3,) its centre of mass in the flange frame, m.
         source: Where the numbers come from.
         controller: How the controller counts its joints, or None if the file does not say.
+        shapes: Collision shapes, where the file states them.
     """
 
     name: str
@@ -106,6 +128,7 @@ class Robot:
     tool_centre: Floats = field(default_factory=lambda: frozen(np.zeros(3)))
     source: str = ""
     controller: ControllerMap | None = None
+    shapes: tuple[Shape, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes and make the arrays read-only."""

@@ -1,22 +1,18 @@
 """What study and truth files may hold: one schema a table, unknown keys forbidden, units in the keys.
 
 Only shapes and single values are checked here; what several values say together is checked in
-`identify.study_checks`.
+`identify.study_checks`. The tables of the cell stand in `identify.cell_sections`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 __all__ = [
     "EFFECT_NAMES",
-    "STUDY_SECTIONS",
     "BeamSection",
-    "ConstraintsSection",
     "FramesSection",
     "LoadSection",
     "ModelChoiceSection",
@@ -27,8 +23,8 @@ __all__ = [
     "ReduceSection",
     "RobotSection",
     "Section",
-    "StudyFile",
     "TestPoseSection",
+    "TestRegionSection",
     "TimesSection",
     "ToolSection",
     "TrackerSection",
@@ -93,6 +89,8 @@ class LoadSection(Section):
     mass_std_kg: NotNegative = 0.0
     attach_mm: Vector = [0.0, 0.0, 0.0]
     attach_std_mm: NotNegative = 0.0
+    size_mm: Annotated[list[Positive], Field(min_length=3, max_length=3)] | None = None
+    hang_mm: NotNegative = 0.0
     wrench: Wrench = [0.0] * 6
     frame: Axes = "world"
     cost: NotNegative = 0.0
@@ -133,6 +131,7 @@ class ModelSection(Section):
     equilibrium: Literal["linear", "loaded"] = "linear"
     rows: Literal["vectors", "dual_quaternions", "dual_quaternion_deviations"] = "vectors"
     nominal: dict[str, Number] = {}
+    nominal_std_percent: dict[str, Positive] = {}
 
 
 class ModelChoiceSection(Section):
@@ -160,6 +159,22 @@ class TestPoseSection(ArmPoseSection):
     weight: Positive = 1.0
 
 
+class TestRegionSection(Section):
+    """One of ``[[test_regions]]``."""
+
+    __test__ = False
+
+    joints_min_deg: list[Number]
+    joints_max_deg: list[Number]
+    wrench_min: Wrench = [0.0] * 6
+    wrench_max: Wrench = [0.0] * 6
+    frame: Axes = "world"
+    attach_mm: Vector = [0.0, 0.0, 0.0]
+    point_mm: Vector | None = None
+    weight: Positive = 1.0
+    points: Annotated[Count, Field(le=4096)] = 64
+
+
 class TwoArmPlanSection(Section):
     """``[plan]`` of two arms: what is common to them."""
 
@@ -171,6 +186,7 @@ class TwoArmPlanSection(Section):
     refine: Switch = True
     repeats: Switch = True
     max_std_percent: Positive = 300.0
+    curve: Switch = True
 
 
 class PlanSection(TwoArmPlanSection):
@@ -179,6 +195,10 @@ class PlanSection(TwoArmPlanSection):
     loads: Annotated[list[Id], Field(min_length=1)] | None = None
     loads_per_pose: Count = 1
     reference_rows: Switch = True
+    stations: Annotated[list[Id], Field(min_length=1)] | None = None
+    markers: Count | None = None
+    robust_to_losses: Annotated[int, Field(strict=True, ge=0, le=2)] = 0
+    draws: Annotated[int, Field(strict=True, ge=0, le=64)] = 0
     references: Literal["same_visit", "own_visits", "auto"] = "same_visit"
     approach: Literal["any", "same"] = "any"
     approach_deg: Positive = 2.0
@@ -213,17 +233,6 @@ class WaistSection(Section):
     shared_joints: Annotated[int, Field(strict=True, ge=0)] = 0
 
 
-class ConstraintsSection(Section):
-    """``[constraints]``."""
-
-    joint_margin_deg: NotNegative = 0.0
-    joint_margin_mm: NotNegative = 0.0
-    floor_mm: Number | None = None
-    payload_share: Positive = 1.0
-    self_collision: Switch = True
-    link_radius_mm: Positive | None = None
-
-
 class BeamSection(Section):
     """One of ``[reduce.beams.link<i>]``: a tube along local x."""
 
@@ -249,42 +258,3 @@ class TruthSection(Section):
 
     effects: list[Text] | None = None
     values: dict[str, Number] = {}
-
-
-#: Tables of a study file and the schema of each; the second entry is True where the file holds a list of tables.
-STUDY_SECTIONS: dict[str, tuple[type[Section], bool]] = {
-    "robot": (RobotSection, False),
-    "tool": (ToolSection, False),
-    "markers": (PointSection, False),
-    "fixed_markers": (PointSection, False),
-    "loads": (LoadSection, True),
-    "noise": (NoiseSection, False),
-    "frames": (FramesSection, False),
-    "model": (ModelSection, False),
-    "test_poses": (TestPoseSection, True),
-    "plan": (PlanSection, False),
-    "constraints": (ConstraintsSection, False),
-    "reduce": (ReduceSection, False),
-    "times": (TimesSection, False),
-}
-
-
-@dataclass(frozen=True)
-class StudyFile:
-    """The checked tables of a study file; None where a table is missing or wrong."""
-
-    robot: RobotSection | None
-    tool: ToolSection | None
-    markers: PointSection | None
-    fixed_markers: PointSection | None
-    loads: list[LoadSection] | None
-    noise: NoiseSection | None
-    frames: FramesSection | None
-    model: ModelSection | None
-    test_poses: list[TestPoseSection] | None
-    plan: PlanSection | None
-    constraints: ConstraintsSection | None
-    reduce: ReduceSection | None
-    times: TimesSection | None
-    options: Mapping[str, Mapping[str, Any]]
-    models: list[tuple[ModelChoiceSection, Mapping[str, Mapping[str, Any]]]]

@@ -12,6 +12,7 @@ import numpy as np
 
 from identify.arrays import Floats, frozen
 from identify.beams import Tube
+from identify.cell import Box, PayloadDiagram, Station, Visibility, Wall
 from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 from identify.units import DEG, MM
@@ -24,6 +25,7 @@ __all__ = [
     "ReduceSettings",
     "Study",
     "TestPose",
+    "TestRegion",
     "Times",
     "Tracker",
 ]
@@ -103,6 +105,40 @@ class TestPose:
 
 
 @dataclass(frozen=True, eq=False)
+class TestRegion:
+    """A box of poses and wrenches where accuracy after compensation counts.
+
+    Attributes:
+        lower: (n,) smallest joint values, rad or m.
+        upper: (n,) largest joint values, rad or m.
+        wrench_lower: (6,) smallest process wrench at ``attach``, N and Nm.
+        wrench_upper: (6,) largest process wrench, N and Nm.
+        in_flange: True if the wrench is given in the flange frame, else world.
+        attach: (3,) flange frame, m.
+        point: (3,) the point whose error counts, flange frame, m.
+        weight: Weight of the whole region in the mean square.
+        points: Number of test poses that stand for it.
+    """
+
+    lower: Floats
+    upper: Floats
+    wrench_lower: Floats
+    wrench_upper: Floats
+    in_flange: bool
+    attach: Floats
+    point: Floats
+    weight: float = 1.0
+    points: int = 64
+
+    __test__ = False  # not a test class, whatever pytest thinks of the name
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for key in ("lower", "upper", "wrench_lower", "wrench_upper", "attach", "point"):
+            object.__setattr__(self, key, frozen(getattr(self, key)))
+
+
+@dataclass(frozen=True, eq=False)
 class PlanSettings:
     """What the plan is asked for (section ``[plan]``).
 
@@ -118,6 +154,11 @@ class PlanSettings:
         reference_rows: Each visit also reads the unloaded state.
         repeats: One candidate may be measured several times.
         max_std_percent: No parameter's std may exceed this percentage of its std under the best A plan.
+        stations: Names of the tracker stations to choose from; empty where there is no choice.
+        markers: How many of the markers to choose from are mounted; None where there is no choice.
+        curve: Also tell the accuracy against the number of experiments.
+        losses: Visits that may be lost: the plan is the best after losing any so many.
+        draws: Draws of uncertain nominal values on which the plan is good on average; 0: at the nominal ones.
         references: The unloaded state is read in the visit of the loaded ones, or in visits of its own.
         approach: Poses are approached from anywhere, or every joint always from below (``same``).
         approach_turn: Least distance from which turning joints come under ``same``, rad.
@@ -138,6 +179,11 @@ class PlanSettings:
     reference_rows: bool = True
     repeats: bool = True
     max_std_percent: float = 300.0
+    stations: tuple[str, ...] = ()
+    markers: int | None = None
+    curve: bool = True
+    losses: int = 0
+    draws: int = 0
     references: References = "same_visit"
     approach: Approach = "any"
     approach_turn: float = 2.0 * DEG
@@ -184,6 +230,14 @@ class Constraints:
         payload_share: Share of the rated payload that may hang on the flange.
         self_collision: Check the links' capsules against each other.
         link_radius: Radius of these capsules, m; None: the robot file's, else 3 % of the reach.
+        clearance: Distance that arm and hung weight keep to walls and boxes, and the weight to the arm, m.
+        boxes: Obstacles, world axes.
+        walls: Planes that nothing may cross, world axes.
+        home: (n,) where the arm comes from and returns to, rad or m; None: not stated.
+        payload_diagram: Allowed mass against the distance of its centre; None: the rated payload alone.
+        wrist_moment: (3,) rated static moments about the last three joints, Nm; None: unknown.
+        torque_share: Share of the rated joint torques that static load may take; None: not checked.
+        visibility: What the tracker must see; None: not checked.
     """
 
     joint_margin: float = 0.0
@@ -192,6 +246,20 @@ class Constraints:
     payload_share: float = 1.0
     self_collision: bool = True
     link_radius: float | None = None
+    clearance: float = 0.0
+    boxes: tuple[Box, ...] = ()
+    walls: tuple[Wall, ...] = ()
+    home: Floats | None = None
+    payload_diagram: PayloadDiagram | None = None
+    wrist_moment: Floats | None = None
+    torque_share: float | None = None
+    visibility: Visibility | None = None
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for key in ("home", "wrist_moment"):
+            if getattr(self, key) is not None:
+                object.__setattr__(self, key, frozen(getattr(self, key)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,13 +314,17 @@ class Study:
         equilibrium: Torques on the undeflected arm (linear) or on the deflected one (loaded).
         rows: How the rows of a fit are built: vectors, or by dual quaternions (`identify.dual_rows`).
         nominal: Starting values by parameter name, in the units of the results.
+        nominal_std_percent: How uncertain these are, by name of a parameter or of an effect.
         options: Options of effects, by effect name.
         test_poses: Where accuracy counts.
+        test_regions: Boxes of poses and wrenches where it counts too.
         plan: What the plan is asked for.
         constraints: What poses must keep to.
         reduce: How the model is reduced.
         models: Models to compare.
         inputs: Every file the study was read from.
+        stations: Where the tracker can stand.
+        marker_choices: Names of the markers that the plan chooses from; they stand among ``markers``.
         times: How long measuring takes, or None if the study does not say.
         load_costs: Cost of a reading under each load; empty: none costs anything.
     """
@@ -269,13 +341,26 @@ class Study:
     equilibrium: Equilibrium = "linear"
     rows: RowAlgebra = "vectors"
     nominal: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    nominal_std_percent: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: MappingProxyType({}))
     test_poses: tuple[TestPose, ...] = ()
+    test_regions: tuple[TestRegion, ...] = ()
     plan: PlanSettings = field(default_factory=PlanSettings)
     constraints: Constraints = field(default_factory=Constraints)
     reduce: ReduceSettings = field(default_factory=ReduceSettings)
     models: tuple[ModelChoice, ...] = ()
     inputs: tuple[Path, ...] = ()
+    stations: tuple[Station, ...] = ()
+    marker_choices: tuple[str, ...] = ()
+
+    @property
+    def station(self) -> Floats | None:
+        """(3,) where the tracker stands, base frame, m; the first station to choose from where several are left."""
+        if self.noise.tracker is not None and self.noise.tracker.station is not None:
+            return self.noise.tracker.station
+        named = {station.name: station.position for station in self.stations}
+        return next((named[name] for name in (*self.plan.stations, *named)), None)
+
     times: Times | None = None
     load_costs: tuple[float, ...] = ()
 

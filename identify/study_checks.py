@@ -6,23 +6,26 @@ import math
 import re
 from collections.abc import Sequence
 
+from identify.cell_checks import check_cell
+from identify.cell_sections import ConstraintsSection
 from identify.problems import Problems, nearest, unknown
 from identify.robot import Robot
 from identify.schema import (
     EFFECT_NAMES,
     ArmPoseSection,
-    ConstraintsSection,
     LoadSection,
     NoiseSection,
     PlanSection,
     ReduceSection,
-    StudyFile,
+    TestRegionSection,
 )
+from identify.study_file import StudyFile
 from identify.study_records import load_cases
 from identify.units import DEG, MM
 
 __all__ = ["check_effects", "check_plan", "check_study", "check_test_pose"]
 
+_BUDGETS = ("time_budget_s", "cost_budget")
 _EFFECT = re.compile(r"([a-z_]+)(@[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)?)?")
 
 
@@ -47,21 +50,29 @@ def check_study(file: StudyFile, robot: Robot | None, problems: Problems) -> Non
     if robot is not None:
         for i, pose in enumerate(file.test_poses or []):
             check_test_pose(pose, robot, f"[[test_poses]] {i + 1} joints_deg", problems)
+        for i, region in enumerate(file.test_regions or []):
+            _check_region(region, robot, f"[[test_regions]] {i + 1}", problems)
         if file.constraints is not None:
             _check_margins(file.constraints, robot, problems)
         if file.plan is not None and file.plan.approach == "same":
             _check_approach(file.plan, file.constraints or ConstraintsSection(), robot, problems)
+    check_cell(file, robot, problems)
 
 
 def _check_markers(file: StudyFile, problems: Problems) -> None:
     """At least one marker on the flange; no name twice."""
     if file.markers is None or file.fixed_markers is None:
         return
-    if not file.markers.points and not problems.found("[markers]"):
+    choices = file.marker_choices.points if file.marker_choices is not None else {}
+    if not file.markers.points and not choices and not problems.found("[markers]"):
         problems.add("[markers]", "at least one marker expected, for example M1 = [300.0, 120.0, -80.0]")
-    for name in file.fixed_markers.points:
-        if name in file.markers.points:
-            problems.add(f"[fixed_markers] {name}", "this id stands in [markers] too; every marker needs its own")
+    for table, names, other in (
+        ("fixed_markers", file.fixed_markers.points, ("markers", file.markers.points)),
+        ("marker_choices", choices, ("markers", file.markers.points)),
+        ("marker_choices", choices, ("fixed_markers", file.fixed_markers.points)),
+    ):
+        for name in set(names) & set(other[1]):
+            problems.add(f"[{table}] {name}", f"this id stands in [{other[0]}] too; every marker needs its own")
 
 
 def _check_loads(file: StudyFile, robot: Robot | None, problems: Problems) -> None:
@@ -121,11 +132,24 @@ def check_effects(effects: Sequence[str], key: str, problems: Problems) -> None:
 
 def check_plan(plan: PlanSection, loads: list[LoadSection] | None, problems: Problems) -> None:
     """Poses, a tolerance or a budget; loads that exist and load the robot."""
-    aims = [aim for aim in ("poses", "tolerance_mm", "time_budget_s", "cost_budget") if getattr(plan, aim) is not None]
+    aims = [aim for aim in ("poses", "tolerance_mm", *_BUDGETS) if getattr(plan, aim) is not None]
     if len(aims) > 1:
         choice = f"{', '.join(aims[:-1])} or {aims[-1]}"
         problems.add(f"[plan] {aims[0]}", f"give {choice}, not {'both' if len(aims) == 2 else 'all'}",
                      getattr(plan, aims[0]))  # fmt: skip
+    for key in ("robust_to_losses", "draws"):
+        if getattr(plan, key) and plan.criterion == "E":
+            problems.add(f"[plan] {key}", "is not for criterion E; choose test_pose, A, D or G", getattr(plan, key))
+        if getattr(plan, key) and aims and aims[0] in _BUDGETS:
+            said = f"is not for {aims[0]}: exchanges do not look at costs; give poses or tolerance_mm"
+            problems.add(f"[plan] {key}", said, getattr(plan, key))
+    if plan.poses is not None and plan.robust_to_losses >= plan.poses:
+        problems.add("[plan] robust_to_losses", f"must be below poses = {plan.poses}", plan.robust_to_losses)
+    if plan.robust_to_losses and plan.references != "same_visit":
+        said = (
+            f'is not for references = "{plan.references}", where one experiment is several visits; write "same_visit"'
+        )
+        problems.add("[plan] robust_to_losses", said, plan.robust_to_losses)
     if loads is None or plan.loads is None:
         return
     known = {case.name: case for case in load_cases(loads)}
@@ -218,6 +242,28 @@ def check_test_pose(pose: ArmPoseSection, robot: Robot, key: str, problems: Prob
             problems.add(
                 f"{key}, entry {j + 1}", f"outside the limits {low:g} to {high:g} {name} of {robot.joints[j]}", value
             )
+
+
+def _check_region(region: TestRegionSection, robot: Robot, key: str, problems: Problems) -> None:
+    """One value a joint; no end below its beginning; every joint comes inside its limits somewhere."""
+    for name in ("joints_min_deg", "joints_max_deg"):
+        given = getattr(region, name)
+        if len(given) != robot.n:
+            what = f"{robot.n} values expected, one a joint of {robot.name}, {len(given)} given"
+            problems.add(f"{key} {name}", what, given)
+    if problems.found(key):
+        return
+    for j, (first, last) in enumerate(zip(region.joints_min_deg, region.joints_max_deg, strict=True)):
+        unit, name = (MM, "mm") if robot.prismatic[j] else (DEG, "deg")
+        low, high = robot.lower[j] / unit, robot.upper[j] / unit
+        if last < first:
+            problems.add(f"{key} joints_max_deg, entry {j + 1}", f"below joints_min_deg = {first:g}: no pose", last)
+        elif last < low - 1e-6 or first > high + 1e-6:
+            what = f"{robot.joints[j]} goes from {low:g} to {high:g} {name}, the region up to {last:g}: no pose"
+            problems.add(f"{key} joints_min_deg, entry {j + 1}", what, first)
+    for j, (least, most) in enumerate(zip(region.wrench_min, region.wrench_max, strict=True)):
+        if most < least:
+            problems.add(f"{key} wrench_max, entry {j + 1}", f"below wrench_min = {least:g}: no wrench", most)
 
 
 def _check_margins(table: ConstraintsSection, robot: Robot, problems: Problems) -> None:

@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
 from identify.arrays import frozen
 from identify.beams import Tube
+from identify.cell import Box, PayloadDiagram, Station, Visibility, Wall
+from identify.cell_sections import (
+    ConstraintsSection,
+    NormalsSection,
+    PayloadDiagramSection,
+    StationSection,
+    VisibilitySection,
+)
 from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 from identify.schema import (
     ArmPoseSection,
-    ConstraintsSection,
     LoadSection,
     NoiseSection,
     PlanSection,
     PointSection,
     ReduceSection,
+    TestRegionSection,
     TimesSection,
     TrackerSection,
 )
-from identify.study import Constraints, Noise, PlanSettings, ReduceSettings, TestPose, Times, Tracker
+from identify.study import Constraints, Noise, PlanSettings, ReduceSettings, TestPose, TestRegion, Times, Tracker
+from identify.transforms import roll_pitch_yaw
 from identify.units import DEG, GPA, MM, UM, URAD
 
 __all__ = [
@@ -32,19 +42,36 @@ __all__ = [
     "noise_from",
     "plan_settings",
     "reduce_settings",
+    "standing",
+    "stations",
     "test_pose",
+    "test_region",
     "times_from",
 ]
 
 
-def markers(on_flange: PointSection | None, on_base: PointSection | None) -> Markers:
-    """Markers of the flange, then those of the base."""
-    tables = [table.points if table else {} for table in (on_flange, on_base)]
+def markers(
+    on_flange: PointSection | None,
+    on_base: PointSection | None,
+    choices: PointSection | None = None,
+    normals: NormalsSection | None = None,
+) -> Markers:
+    """Markers of the flange, then those to choose from, then those of the base."""
+    tables = [table.points if table else {} for table in (on_flange, choices, on_base)]
+    names = tuple(name for points in tables for name in points)
+    looks = {} if normals is None else normals.points
+    directions = np.array([looks.get(name, [np.nan] * 3) for name in names]).reshape(-1, 3)
     return Markers(
-        names=tuple(name for points in tables for name in points),
+        names=names,
         positions=np.array([point for points in tables for point in points.values()]).reshape(-1, 3) * MM,
-        on_base=np.repeat([False, True], [len(points) for points in tables]),
+        on_base=np.repeat([False, False, True], [len(points) for points in tables]),
+        normals=directions / np.linalg.norm(directions, axis=1, keepdims=True),
     )
+
+
+def stations(tables: Iterable[StationSection]) -> tuple[Station, ...]:
+    """Where the tracker can stand."""
+    return tuple(Station(table.id, frozen(table.position_mm) * MM) for table in tables)
 
 
 def load_cases(tables: Iterable[LoadSection]) -> tuple[LoadCase, ...]:
@@ -59,6 +86,8 @@ def load_cases(tables: Iterable[LoadSection]) -> tuple[LoadCase, ...]:
             in_flange=table.frame == "flange",
             mass_std=table.mass_std_kg,
             attach_std=table.attach_std_mm * MM,
+            size=np.array(table.size_mm or [0.0] * 3) * MM,
+            hang=table.hang_mm * MM,
         )
         for table in tables
     )
@@ -81,6 +110,14 @@ def noise_from(table: NoiseSection, base: Noise) -> Noise:
         reading_jitter=_scaled(table.reading_jitter_urad, URAD, base.reading_jitter),
         orientation=_scaled(table.orientation_urad, URAD, base.orientation),
     )
+
+
+def standing(noise: Noise, possible: Sequence[Station], named: Sequence[str]) -> Noise:
+    """Noise of a tracker at the first of the named stations; a plan may choose another one of them."""
+    if noise.tracker is None or not named:
+        return noise
+    first = next(station for station in possible if station.name == named[0])
+    return replace(noise, tracker=replace(noise.tracker, station=first.position))
 
 
 def _scaled(value: float | None, unit: float, default: float) -> float:
@@ -111,8 +148,24 @@ def test_pose(table: ArmPoseSection, robot: Robot, weight: float) -> TestPose:
     )
 
 
-def plan_settings(table: PlanSection, loads: Sequence[LoadCase]) -> PlanSettings:
-    """What the plan is asked for, in SI."""
+def test_region(table: TestRegionSection, robot: Robot) -> TestRegion:
+    """A test region in SI."""
+    units = np.where(robot.prismatic, MM, DEG)
+    return TestRegion(
+        lower=np.array(table.joints_min_deg) * units,
+        upper=np.array(table.joints_max_deg) * units,
+        wrench_lower=frozen(table.wrench_min),
+        wrench_upper=frozen(table.wrench_max),
+        in_flange=table.frame == "flange",
+        attach=frozen(table.attach_mm) * MM,
+        point=frozen(table.attach_mm if table.point_mm is None else table.point_mm) * MM,
+        weight=table.weight,
+        points=table.points,
+    )
+
+
+def plan_settings(table: PlanSection, loads: Sequence[LoadCase], possible: Sequence[Station] = ()) -> PlanSettings:
+    """What the plan is asked for, in SI; it chooses among all possible stations unless it names some."""
     aims = (table.poses, table.tolerance_mm, table.time_budget_s, table.cost_budget)
     poses = 15 if all(aim is None for aim in aims) else table.poses
     loaded = [load.name for load in loads if not load.unloaded]
@@ -128,6 +181,11 @@ def plan_settings(table: PlanSection, loads: Sequence[LoadCase]) -> PlanSettings
         reference_rows=table.reference_rows,
         repeats=table.repeats,
         max_std_percent=table.max_std_percent,
+        stations=tuple([station.name for station in possible] if table.stations is None else table.stations),
+        markers=table.markers,
+        curve=table.curve,
+        losses=table.robust_to_losses,
+        draws=table.draws,
         references=table.references,
         approach=table.approach,
         approach_turn=table.approach_deg * DEG,
@@ -150,8 +208,8 @@ def times_from(table: TimesSection) -> Times:
     )
 
 
-def constraints(table: ConstraintsSection) -> Constraints:
-    """What poses must keep to, in SI."""
+def constraints(table: ConstraintsSection, slides: np.ndarray) -> Constraints:
+    """What poses must keep to, in SI; ``slides`` (n,) is True for sliding joints."""
     return Constraints(
         joint_margin=table.joint_margin_deg * DEG,
         joint_margin_slide=table.joint_margin_mm * MM,
@@ -159,6 +217,43 @@ def constraints(table: ConstraintsSection) -> Constraints:
         payload_share=table.payload_share,
         self_collision=table.self_collision,
         link_radius=None if table.link_radius_mm is None else table.link_radius_mm * MM,
+        clearance=table.clearance_mm * MM,
+        boxes=tuple(
+            Box(
+                box.name,
+                np.array(box.centre_mm) * MM,
+                np.array(box.size_mm) * MM / 2,
+                roll_pitch_yaw(np.array(box.rpy_deg) * DEG),
+            )
+            for box in table.boxes
+        ),
+        walls=tuple(
+            Wall(wall.name, np.array(wall.point_mm) * MM, np.array(wall.normal) / np.linalg.norm(wall.normal))
+            for wall in table.walls
+        ),
+        home=None if table.home_deg is None else np.array(table.home_deg) * np.where(slides, MM, DEG),
+        payload_diagram=_payload_diagram(table.payload_diagram),
+        wrist_moment=None if table.wrist_moment_Nm is None else np.array(table.wrist_moment_Nm),
+        torque_share=table.torque_share,
+        visibility=_visibility(table.visibility),
+    )
+
+
+def _payload_diagram(table: PayloadDiagramSection | None) -> PayloadDiagram | None:
+    """The payload diagram in SI."""
+    return None if table is None else PayloadDiagram(np.array(table.distance_mm) * MM, np.array(table.mass_kg))
+
+
+def _visibility(table: VisibilitySection | None) -> Visibility | None:
+    """What the tracker must see, in SI."""
+    if table is None:
+        return None
+    return Visibility(
+        acceptance=None if table.acceptance_deg is None else table.acceptance_deg * DEG,
+        nearest=table.min_range_mm * MM,
+        farthest=float("inf") if table.max_range_mm is None else table.max_range_mm * MM,
+        occlusion=table.occlusion,
+        required=table.required,
     )
 
 

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from identify.errors import InputError
 from identify.experiment import Experiment
 from identify.identifiability import why_not
 from identify.identification import Identification, Misfit
-from identify.model import Model, model_of
+from identify.model import Model, known_nominal, model_of
 from identify.response import marker_positions, respond
 from identify.study import Study
 from identify.units import MM, MRAD
@@ -170,6 +170,7 @@ class Fitted:
         start: The time from which the fit counted drift and warm-up, s; None if its readings had no times.
         by_temperature: The fit knew temperatures, so that growth is per kelvin; None if the result does not say.
         calibrated: What was measured; None if the result does not say.
+        reference: absolute or differences; None if the result does not say.
     """
 
     model: Model
@@ -179,6 +180,7 @@ class Fitted:
     start: float | None = None
     by_temperature: bool | None = None
     calibrated: CalibratedRegion | None = None
+    reference: Literal["absolute", "differences"] | None = None
 
 
 def load_fitted(path: str | Path, study: Study) -> Fitted:
@@ -192,13 +194,15 @@ def load_fitted(path: str | Path, study: Study) -> Fitted:
         content = json.loads(path.read_text(encoding="utf-8"))
         content = content.get("identification", content)
         study = replace(study, options={**study.options, **content.get("options", {})})
-        model = model_of(study, tuple(content["effects"]))
+        effects = tuple(content["effects"])
+        model = model_of(study, effects, known_nominal(study, effects))
         listed = [str(parameter["name"]) for parameter in content["parameters"]]
         given = np.array([float(parameter["value"]) for parameter in content["parameters"]])
         spread = np.array(content["covariance"], dtype=np.float64).reshape(len(given), len(given))
         placement = np.array(content["frames"]["base_T_measurement"], dtype=np.float64).reshape(4, 4)
         start = None if content.get("time_start_s") is None else float(content["time_start_s"])
         by_temperature = content.get("by_temperature")
+        reference = content.get("reference")
         calibrated = region_of(content["calibrated"], study.robot) if "calibrated" in content else None
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
@@ -217,7 +221,8 @@ def load_fitted(path: str | Path, study: Study) -> Fitted:
     covariance = np.zeros((len(values), len(values)))
     covariance[np.ix_(index, index)] = spread
     placement[:3, 3] *= MM
-    return Fitted(model, values, covariance, placement, start, by_temperature, calibrated)
+    known = reference if reference in {"absolute", "differences"} else None
+    return Fitted(model, values, covariance, placement, start, by_temperature, calibrated, known)
 
 
 def predict(fitted: Fitted, experiment: Experiment) -> tuple[Floats, Floats]:

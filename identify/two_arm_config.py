@@ -108,6 +108,13 @@ def _arm(table: ArmSection, index: int, path: Path, problems: Problems) -> Arm |
 
 def _plan(table: object, problems: Problems) -> PlanSettings:
     """What the plan of both arms is asked for."""
+    if isinstance(table, Mapping):
+        common = TwoArmPlanSection.model_fields
+        single = set(PlanSection.model_fields) - set(common)
+        for key in sorted(single & set(table)):
+            what = f"is not for two arms; it belongs to the study of one. Allowed here: {', '.join(common)}"
+            problems.add(f"[plan] {key}", what, table[key])
+        table = {key: value for key, value in table.items() if key not in single}
     known = problems.check(TwoArmPlanSection, table, "[plan]") or TwoArmPlanSection()
     whole = PlanSection(**known.model_dump())
     check_plan(whole, None, problems)

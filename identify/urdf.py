@@ -11,7 +11,8 @@ What is decided here:
   above zero is taken as it stands, dummy or not.
 * Limits are unknown for continuous joints and where ``lower`` and ``upper`` are not stated; a rated
   effort of zero is unknown.
-* Geometry is not read: missing meshes do not matter.
+* Collision shapes of a body are read where all of them are boxes, cylinders, capsules or spheres. Meshes are not
+  read, so missing ones do not matter.
 
 The file is checked before Pinocchio sees it; Pinocchio gets a plain copy with links, joints and masses only.
 """
@@ -27,8 +28,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from identify.arrays import Floats
-from identify.robot import Robot
-from identify.transforms import axis_frame
+from identify.collision_shapes import shapes_of_body
+from identify.robot import Robot, Shape
+from identify.transforms import axis_frame, roll_pitch_yaw, translation
 from identify.urdf_tree import SLIDING, TURNING, UrdfJoint, UrdfTree, listed, read_urdf
 
 __all__ = ["robot_from_urdf"]
@@ -66,6 +68,11 @@ def _robot(tree: UrdfTree, start: str, end: str, chain: Sequence[UrdfJoint]) -> 
         masses.append(inertia.mass if known else math.nan)
         centres.append(turn[:3, :3].T @ inertia.lever if known else np.full(3, math.nan))
     placements.append(carry @ model.frames[flange].placement.homogeneous)
+    shapes = [
+        shape
+        for body, (head, turn) in enumerate(_heads(start, chain))
+        for shape in _shapes(tree, body, head, turn, chain)
+    ]
     return Robot(
         name=tree.name,
         joints=tuple(joint.name for joint in chain),
@@ -76,8 +83,29 @@ def _robot(tree: UrdfTree, start: str, end: str, chain: Sequence[UrdfJoint]) -> 
         masses=np.array(masses),
         centres=np.array(centres),
         efforts=np.array([joint.effort for joint in chain]),
+        shapes=tuple(shapes),
         source=f"URDF file {tree.path.name}, links {start} to {end}",
     )
+
+
+def _heads(start: str, chain: Sequence[UrdfJoint]) -> list[tuple[str, Floats]]:
+    """First link of every body, base first, and the turn (4, 4) from its frame to the body's."""
+    return [(start, np.eye(4)), *((joint.child, axis_frame(joint.axis)) for joint in chain)]
+
+
+def _shapes(tree: UrdfTree, body: int, head: str, turn: Floats, chain: Sequence[UrdfJoint]) -> tuple[Shape, ...]:
+    """Collision shapes of one body, in its frame."""
+    placed: dict[str, Floats] = {head: turn.T}
+    waiting = [head]
+    while waiting:
+        name = waiting.pop()
+        for joint in tree.below[name]:
+            if joint not in chain:
+                step = translation(joint.xyz)
+                step[:3, :3] = roll_pitch_yaw(joint.rpy)
+                placed[joint.child] = placed[name] @ step
+                waiting.append(joint.child)
+    return shapes_of_body(body, placed, tree.collisions)
 
 
 def _pinocchio_model(tree: UrdfTree, start: str, end: str, chain: Sequence[UrdfJoint]) -> tuple[Any, int]:

@@ -1,7 +1,7 @@
 """URDF files read and checked, before any other parser sees them: a tree of links with masses.
 
 Refused are entities, files that are too large or too deep, numbers that are none, and trees that are no tree.
-Geometry is not looked at.
+Of geometry, only the collision shapes are looked at, and of meshes only that they are there.
 """
 
 from __future__ import annotations
@@ -15,7 +15,10 @@ from typing import NoReturn
 from xml.etree import ElementTree as ET
 from xml.parsers import expat
 
+from identify.arrays import frozen
+from identify.collision_shapes import Collision
 from identify.errors import InputError
+from identify.transforms import roll_pitch_yaw, translation
 
 __all__ = ["SLIDING", "TURNING", "Inertial", "UrdfJoint", "UrdfTree", "listed", "read_urdf"]
 
@@ -70,6 +73,7 @@ class UrdfTree:
         links: Mass of each link, None if not stated.
         above: The joint that carries each link (not for the root).
         below: The joints that hang on each link.
+        collisions: Collision geometry of the links that state any.
     """
 
     path: Path
@@ -78,6 +82,7 @@ class UrdfTree:
     links: Mapping[str, Inertial | None]
     above: Mapping[str, UrdfJoint]
     below: Mapping[str, Sequence[UrdfJoint]]
+    collisions: Mapping[str, tuple[Collision, ...]]
 
     def fail(self, message: str) -> NoReturn:
         """Raise an `InputError` that names the file."""
@@ -106,7 +111,9 @@ def read_urdf(path: Path) -> UrdfTree:
     roots = [name for name in links if name not in above]
     if len(roots) > 1:
         raise InputError(f"{path}: links {listed(roots)} hang on nothing; one root is allowed, join the others to it")
-    tree = UrdfTree(path, root.get("name") or path.stem, roots[0] if roots else "", links, above, below)
+    shapes = {str(element.get("name")): _collisions(element, path) for element in root.findall("link")}
+    shapes = {link: found for link, found in shapes.items() if found}
+    tree = UrdfTree(path, root.get("name") or path.stem, roots[0] if roots else "", links, above, below, shapes)
     loop = sorted(set(links) - {tree.root, *(tree.under(tree.root) if roots else ())})
     if loop:
         tree.fail(f"links {listed(loop)} hang on one another in a circle; the links of a robot form a tree")
@@ -252,6 +259,31 @@ def _inertial(element: ET.Element, where: str) -> Inertial | None:
             _number(inertia, key, where)
     centre, _ = _origin(block, where)
     return Inertial(mass, centre)
+
+
+_SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",)}
+
+
+def _collisions(link: ET.Element, path: Path) -> tuple[Collision, ...]:
+    """Check every ``<collision>`` of a link."""
+    found = []
+    for element in link.findall("collision"):
+        where = f"{path}: link {link.get('name')!r}: collision"
+        geometry = _only(element, "geometry", where)
+        shape = None if geometry is None else next(iter(geometry), None)
+        if shape is None or shape.tag not in {*_SIZES, "mesh"}:
+            raise InputError(f"{where}: one of {', '.join(_SIZES)} or mesh expected inside <geometry>")
+        keys = _SIZES.get(shape.tag, ())
+        count = 3 if shape.tag == "box" else 1
+        sizes = [_numbers(shape, key, where, tag=shape.tag, count=count, default=(0.0,) * count) for key in keys]
+        flat = tuple(value for own in sizes for value in own)
+        if any(value <= 0.0 for value in flat):
+            raise InputError(f"{where}: {shape.tag} {', '.join(keys)} = {list(flat)}; numbers above zero expected (m)")
+        xyz, rpy = _origin(element, where)
+        placement = translation(xyz)
+        placement[:3, :3] = roll_pitch_yaw(rpy)
+        found.append(Collision(shape.tag, flat, frozen(placement)))
+    return tuple(found)
 
 
 def _origin(element: ET.Element, where: str) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from doe.report.folder import Entry, Folder
 from doe.report.page import Markup, element, joined, table
+from doe.report.pictures import accuracy_curve
 from doe.report.words import number
 
 __all__ = ["other_sections", "provenance_section"]
@@ -32,7 +33,10 @@ def _judged(result: Entry) -> Markup:
         ("efficiency, proven", f"{number(100 * result.number('efficiency'), 4)} %"),
         ("not identifiable", ", ".join(result.texts("nonidentifiable")) or "none"),
     ]
-    return table(("", ""), rows, words=(0, 1))
+    told = table(("", ""), rows, words=(0, 1))
+    points = result.tables("curve") if result.get("curve") else []
+    shown = sum(point["bound_mm"] is not None for point in points) > 1
+    return joined(told, accuracy_curve(points)) if shown else told
 
 
 def _mm(value: object) -> str:

@@ -10,8 +10,14 @@ from doe.report.page import Markup, joined
 from doe.report.words import heading, length, number, rival_words
 from identify.arrays import Floats, Ints
 
-__all__ = ["against", "curve", "heldout", "maps", "scale_of"]
+__all__ = ["accuracy_curve", "against", "curve", "heldout", "maps", "scale_of"]
 
+_KINDS = {
+    "bound_mm": ("proven impossible", GREY),
+    "plan_mm": ("designed", AFTER),
+    "random_mm": ("random", BEFORE),
+    "own_mm": ("these poses, first ones first", INK),
+}
 _DOTS = 500  # of one panel
 _STROKES = 260
 _BINS = 12
@@ -22,6 +28,31 @@ def scale_of(residuals: Residuals) -> float:
     """Half the height of the panels of `against`, mm: nearly all residuals are smaller."""
     mean = residuals.by_shot(residuals.before)
     return float(max(np.quantile(np.abs(mean), 0.995, method="lower"), 1e-6)) * 1.1
+
+
+def accuracy_curve(points: list[Entry]) -> Markup:
+    """Expected rms at the test poses against the number of experiments; below the grey area's edge nothing is possible.
+
+    Args:
+        points: The key ``curve`` of plan.json or evaluate.json, two points or more.
+    """
+    counts = np.array([point.number("poses") for point in points])
+    series = {key: np.array([point.number(key) for point in points if key in dict(point.items())]) for key in _KINDS}
+    series = {key: values for key, values in series.items() if len(values) == len(points) and np.isfinite(values).any()}
+    every = np.concatenate(list(series.values()))
+    top = min(float(np.nanmax(every)), 3.0 * float(np.nanmedian(every)))  # few experiments can be off by any factor
+    panel = Panel(52, 8, 400, 180, (0.0, 1.04 * counts[-1]), (0.0, 1.08 * top))
+    parts = [panel.frame(across="rms at the test poses, mm, against the number of experiments")]
+    for index, (key, values) in enumerate(series.items()):
+        word, colour = _KINDS[key]
+        told = values <= top  # false for nan too
+        if key == "bound_mm" and told.any():
+            parts.append(panel.band(counts[told], 0 * values[told], values[told], colour))
+        elif told.any():
+            parts.append(panel.line(counts[told], values[told], colour))
+            parts.append(panel.dots(counts[told], values[told], colour, size=4.0, opacity=1.0))
+        parts.append(words(446, 24 + 14 * index, word, anchor="end", colour=colour))
+    return picture(460, 222, *parts, title="accuracy against the number of experiments")
 
 
 def against(residuals: Residuals, column: str, scale: float) -> Markup:

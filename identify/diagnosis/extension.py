@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 from identify.diagnosis.library import Hypothesis, placed_options
 from identify.diagnosis.verdict import Diagnosis
-from identify.problems import read_toml
+from identify.problems import name_robot_from, read_toml
 from identify.study import Tracker
 from identify.units import UM
 
@@ -35,9 +34,7 @@ def extended_toml(found: Diagnosis, out: Path) -> str:
     model["nominal"] = {**nominal, **found.identification.parameters}
     if found.range_noise is not None:
         _put_noise(data["noise"], found.range_noise.noise.tracker)
-    beside = found.study.path.parent / str(data["robot"]["model"])
-    if beside.exists():
-        data["robot"]["model"] = Path(os.path.relpath(beside, out)).as_posix()
+    name_robot_from(out, data, found.study.path)
     return tomli_w.dumps(data)
 
 

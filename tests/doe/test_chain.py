@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from doe.chain import block_function, missing_columns
-from doe.feasible import floor_points
+from doe.floor import floor_points
 from doe.observations import identifiable, observer
 from doe.refine import refine
 from doe.symbolic_arm import heights_function, load_table

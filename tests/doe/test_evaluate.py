@@ -85,7 +85,7 @@ def test_evaluate_predicts_what_400_simulated_measurements_and_identifications_s
 )
 def test_evaluate_of_a_plan_file_returns_the_plans_own_figures(tmp_path, settings):
     path = study_file(tmp_path, KR270, plan={"candidates": 200, **settings})
-    made = run_plan(path, seed=2)
+    made = run_plan(path, seed=2, out=tmp_path)
     (tmp_path / "plan.csv").write_text(made.tables["plan.csv"])
     judged = run_evaluate(path, tmp_path / "plan.csv", seed=2).content
     for key in ("value", "rms_mm", "rms_total_mm"):

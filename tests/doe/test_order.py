@@ -74,13 +74,13 @@ def test_without_drift_travel_is_not_longer_than_to_the_nearest_neighbour_each_t
     made = visits(seed, count=15, weights=1, home=np.zeros(3))
     left, here, way = set(range(15)), 15, 0.0
     while left:
-        nearest = min(left, key=lambda v: made.travel.length[here, v])
-        way += made.travel.length[here, nearest]
+        nearest = min(left, key=lambda v: made.travel.length[0, here, v])
+        way += made.travel.length[0, here, nearest]
         here = nearest
         left.remove(nearest)
     found = order(made)
     before = np.append(15, found.visit[:-1])
-    assert made.travel.length[before, found.visit].sum() <= way * (1 + 1e-12)
+    assert made.travel.length[0, before, found.visit].sum() <= way * (1 + 1e-12)
 
 
 def before_each(route, home):
@@ -91,9 +91,9 @@ def before_each(route, home):
 def test_without_drift_a_short_plan_has_the_shortest_route_of_all():
     for seed in range(4):
         made = visits(seed, count=6, weights=1, home=np.zeros(3))
-        best = min(made.travel.length[before_each(p, 6), list(p)].sum() for p in permutations(range(6)))
+        best = min(made.travel.length[0, before_each(p, 6), list(p)].sum() for p in permutations(range(6)))
         found = order(made)
-        assert made.travel.length[before_each(found.visit, 6), found.visit].sum() == pytest.approx(best, rel=1e-12)
+        assert made.travel.length[0, before_each(found.visit, 6), found.visit].sum() == pytest.approx(best, rel=1e-12)
 
 
 def test_the_tables_judge_an_order_as_its_readings_do():
@@ -104,7 +104,7 @@ def test_the_tables_judge_an_order_as_its_readings_do():
         visit, option = rng.permutation(7), rng.integers(2, size=7)
         found = tables.order(visit, option)
         assert tables.lifts(visit[None], option[None])[0] == found.lifts == lifts_of(states_of(made, found))
-        seconds, _ = tables.ways(visit[None])
+        seconds, _ = tables.ways(visit[None], option[None])
         drift = tables.drifts(visit[None], option[None], seconds)[0]
         assert drift == pytest.approx(np.linalg.norm(found.drift), rel=1e-9)
 
@@ -147,12 +147,12 @@ def test_unloaded_visits_of_their_own_stand_around_the_weights():
 def test_a_move_takes_as_long_as_its_slowest_joint_and_sliding_joints_have_their_own_speed():
     q = np.array([[0.0, 0.0], [0.5, 0.2]])
     travel = travel_between(q, np.array([False, True]), speed=0.5, speed_slide=0.1)
-    assert travel.seconds[0, 1] == pytest.approx(2.0)
-    assert travel.degrees[0, 1] == pytest.approx(np.rad2deg(0.5))
-    assert travel.along(np.array([0, 1])) == pytest.approx((2.0, np.rad2deg(0.5), 0))
+    assert travel.seconds[0, 0, 1] == pytest.approx(2.0)
+    assert travel.degrees[0, 0, 1] == pytest.approx(np.rad2deg(0.5))
+    assert travel.along(np.array([0, 1]), np.array([-1, -1])) == pytest.approx((2.0, np.rad2deg(0.5), 0))
 
 
-def wall(first, second):
+def wall(first, second, _):
     """A wall at zero of the first joint."""
     return first[:, 0] * second[:, 0] >= 0.0
 
@@ -161,11 +161,11 @@ def test_a_blocked_move_goes_over_home_and_is_avoided_where_it_can_be():
     q = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.1, 0.0], [1.0, 0.1, 0.0]])
     home = np.array([0.0, -1.0, 0.0])
     travel = travel_between(q, TURNING, speed=1.0, home=home, free=wall)
-    assert travel.detour[0, 1]
-    assert not travel.detour[0, 2]
-    assert travel.seconds[0, 1] == pytest.approx(travel.seconds[0, 4] + travel.seconds[4, 1])
+    assert travel.detour[0, 0, 1]
+    assert not travel.detour[0, 0, 2]
+    assert travel.seconds[0, 0, 1] == pytest.approx(travel.seconds[0, 0, 4] + travel.seconds[0, 4, 1])
     made = Visits([[0, 1]] * 4, [True, False], travel, Pace(), np.zeros((4, 2, 1)))
-    assert travel.along(order(made).visit)[2] == 1
+    assert travel.along(order(made).visit, np.full(4, -1))[2] == 1
 
 
 def test_a_route_that_cannot_be_driven_is_refused_by_name():
@@ -174,7 +174,7 @@ def test_a_route_that_cannot_be_driven_is_refused_by_name():
     made = Visits([[0, 1]] * 2, [True, False], travel, Pace(), np.zeros((2, 2, 1)))
     found = order(made)
     with pytest.raises(Infeasible, match=r"study: .* P001 to P002.*home_deg"):
-        travel.check(found.visit, ("P001", "P002"), "study")
+        travel.check(found.visit, found.carried, ("P001", "P002"), "study")
 
 
 def test_home_has_one_value_a_joint():

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe.feasible import floor_points
+from doe.floor import floor_points
 from doe.observations import identifiable, observer, target_rows
 from doe.refine import Others, can_refine, refine
 from identify.arrays import frozen
@@ -228,6 +228,40 @@ def test_a_plan_improves_within_limits_and_above_the_floor(criterion):
     assert floor_points(study, (1,)).heights(forward(study.robot, result.q)).min() >= 0.9
     free = refine(watching, q, loads, kept, rows, criterion=criterion, **bounds)
     assert floor_points(study, (1,)).heights(forward(study.robot, free.q)).min() < 0.9, "the floor did not matter"
+
+
+def test_a_weight_on_a_rope_stays_above_the_floor_with_its_lowest_point():
+    study = heavy_study()
+    hung = replace(study.loads[1], size=np.array([0.2, 0.2, 0.15]), hang=0.25)
+    study = replace(study, loads=(study.loads[0], hung, *study.loads[2:]))
+    watching, _, loads, kept, target, bounds = prepared(study)
+    q = random_poses(study.robot, len(loads), floor=1.3)
+    result = refine(watching, q, loads, kept, target.reshape(-1, len(kept)), **bounds, floor=0.9)
+    assert result.reason is None
+    bare = replace(study, loads=(study.loads[0], replace(hung, size=np.zeros(3), hang=0.0), *study.loads[2:]))
+    frames = forward(study.robot, result.q)
+    lowest = floor_points(study, (1,)).heights(frames).min()
+    assert lowest >= 0.9
+    point = frames.point(hung.attach) @ study.robot.world_R_base[2]
+    assert lowest <= point.min() - 0.4 + 1e-12
+    assert floor_points(bare, (1,)).heights(frames).min() > lowest
+
+
+def test_poses_that_are_refused_go_back_only_as_far_as_they_must():
+    watching, q, loads, kept, target, bounds = prepared(heavy_study())
+    rows = target.reshape(-1, len(kept))
+    free = refine(watching, q, loads, kept, rows, **bounds)
+    limit = 0.5 * (q[0, 1] + free.q[0, 1])
+    side = np.sign(free.q[0, 1] - q[0, 1])
+
+    def allowed(moved):
+        good = np.ones(len(moved), dtype=bool)
+        good[0] = side * (moved[0, 1] - limit) <= 0
+        return good
+
+    held = refine(watching, q, loads, kept, rows, **bounds, allowed=allowed)
+    assert allowed(held.q).all()
+    assert held.gain > 0.5 * free.gain
 
 
 def test_a_floor_that_no_joint_can_reach_does_no_harm():

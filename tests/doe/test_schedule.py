@@ -86,7 +86,7 @@ def test_what_drift_leaves_is_what_simulated_drift_does(tmp_path):
 
 def test_order_does_not_change_what_a_plan_is_worth(tmp_path):
     path = study_file(tmp_path, KR270, plan=SMALL, times=TIMES)
-    told = run_plan(path, seed=0)
+    told = run_plan(path, seed=0, out=tmp_path)
     (tmp_path / "plan.csv").write_text(told.tables["plan.csv"])
     judged = run_evaluate(path, tmp_path / "plan.csv", seed=0).content
     assert judged["criterion"]["value"] == pytest.approx(told.content["criterion"]["value"], rel=1e-9)
@@ -95,7 +95,7 @@ def test_order_does_not_change_what_a_plan_is_worth(tmp_path):
 
 def test_plan_csv_is_in_the_order_of_measuring_with_times(tmp_path):
     path = study_file(tmp_path, KR270, plan={**SMALL, "loads": ["L1", "L2"]}, times=TIMES)
-    told = run_plan(path, seed=0)
+    told = run_plan(path, seed=0, out=tmp_path)
     rows = [line.split(",") for line in told.tables["plan.csv"].splitlines()]
     time = rows[0].index("time_s")
     names = {"L0": 0, "L1": 1, "L2": 2}
@@ -109,7 +109,7 @@ def test_plan_csv_is_in_the_order_of_measuring_with_times(tmp_path):
 
 
 def test_without_times_there_is_an_order_but_no_time(tmp_path):
-    told = run_plan(study_file(tmp_path, KR270, plan=SMALL), seed=0)
+    told = run_plan(study_file(tmp_path, KR270, plan=SMALL), seed=0, out=tmp_path)
     assert told.content["time_s"] is None
     assert told.content["order"]["reading_times"] == f"equal steps of {STEP:g} s"
     assert "time_s" not in told.tables["plan.csv"]
@@ -141,8 +141,8 @@ def test_a_wall_between_poses_and_no_way_around_is_refused(tmp_path):
 
     made = kr270(tmp_path, plan={"poses": 6, "candidates": 100})
     with pytest.raises(Infeasible, match="home_deg"):
-        plan(made, free=lambda first, second: np.zeros(len(first), dtype=bool))
-    told = plan(made, free=lambda first, second: (first[:, 0] * second[:, 0]) >= 0, home=np.zeros(6))
+        plan(made, free=lambda first, second, _: np.zeros(len(first), dtype=bool))
+    told = plan(made, free=lambda first, second, _: (first[:, 0] * second[:, 0]) >= 0, home=np.zeros(6))
     assert len(told.q) == 6
 
 
@@ -209,7 +209,7 @@ def test_own_visits_are_refused_where_masses_are_unknown(tmp_path):
 
 def test_every_joint_has_room_to_come_from_below(tmp_path):
     made_study = kr270(tmp_path, plan={"approach": "same", "approach_deg": 3.0, "refine": True, "poses": 6})
-    told = run_plan(made_study.path, seed=0)
+    told = run_plan(made_study.path, seed=0, out=tmp_path)
     np.testing.assert_allclose(told.content["approach_deg"], 3.0)
     header, *rows = (line.split(",") for line in told.tables["plan.csv"].splitlines())
     columns = [header.index(f"approach{i + 1}") for i in range(6)]
@@ -219,7 +219,7 @@ def test_every_joint_has_room_to_come_from_below(tmp_path):
     assert (below >= joint_range(replace(made_study, plan=replace(made_study.plan, approach="any")))[0] - 1e-9).all()
     anywhere = replace(made_study, plan=replace(made_study.plan, approach="any"))
     assert check(anywhere, below, made.visit_loads).ok.all()
-    assert "approach1" not in run_plan(study_file(tmp_path, KR270, plan=SMALL), seed=0).tables["plan.csv"]
+    assert "approach1" not in run_plan(study_file(tmp_path, KR270, plan=SMALL), seed=0, out=tmp_path).tables["plan.csv"]
 
 
 def test_poses_that_are_reached_from_below_the_floor_are_rejected(tmp_path):
@@ -260,6 +260,18 @@ BAD = {
         {"plan": {"time_budget_s": 9000.0}, "times": TIMES},
         ["[plan] poses = 12", "poses or time_budget_s, not both"],
     ),
+    "losses and a budget": (
+        {"plan": {"poses": None, "cost_budget": 10.0, "pose_cost": 1.0, "robust_to_losses": 1}},
+        ["[plan] robust_to_losses = 1", "cost_budget", "give poses or tolerance_mm"],
+    ),
+    "draws and a budget": (
+        {"plan": {"poses": None, "time_budget_s": 9000.0, "draws": 4}, "times": TIMES},
+        ["[plan] draws = 4", "time_budget_s", "give poses or tolerance_mm"],
+    ),
+    "losses and own visits": (
+        {"plan": {"references": "auto", "robust_to_losses": 1}},
+        ["[plan] robust_to_losses = 1", "'auto'", "same_visit"],
+    ),
     "backwards": ({"times": {"pose_s": -1.0}}, ["[times] pose_s = -1"]),
     "standing still": ({"times": {"speed_deg_s": 0.0}}, ["[times] speed_deg_s = 0", "above 0"]),
     "no room": ({"plan": {"approach": "same", "approach_deg": 400.0}}, ["[plan] approach_deg = 400", "no range"]),
@@ -298,7 +310,7 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path):
 
 def test_every_key_and_weight_is_documented(tmp_path):
     path = study_file(tmp_path, KR270, plan={**SMALL, "poses": None, "time_budget_s": 3600.0}, times=TIMES)
-    content = run_plan(path, seed=0).content
+    content = run_plan(path, seed=0, out=tmp_path).content
     formats = (DOCS / "formats.md").read_text(encoding="utf-8")
     section = formats[formats.index("**Order of a plan**") : formats.index("**Reduction**")]
     order = content["order"]

@@ -163,7 +163,10 @@ WRONG = {
         {"plann": {}},
         ["[plann]: unknown table (did you mean 'plan'?)", "arms, waist, test_poses, plan"],
     ),
-    "loads of one arm": ({"plan": {"loads": ["L1"]}}, ["[plan] loads = ['L1']: unknown key", "poses, tolerance_mm"]),
+    "loads of one arm": (
+        {"plan": {"loads": ["L1"]}},
+        ["[plan] loads = ['L1']: is not for two arms", "poses, tolerance_mm"],
+    ),
     "poses and tolerance": (
         {"plan": {"tolerance_mm": 1.0}},
         ["[plan] poses = 7: give poses or tolerance_mm, not both"],

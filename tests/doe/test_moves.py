@@ -1,0 +1,127 @@
+"""Straight joint moves against a walk in tiny steps."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from doe.gaps import gaps_of
+from doe.lifts import NOTHING, hung_states
+from doe.moves import STEP, free_moves
+from doe.order import Pace, Visits
+from doe.order_search import best_order
+from doe.plan import plan
+from doe.travel import travel_between
+from identify.cell import Box
+from identify.config import load_study
+from identify.errors import InputError
+from identify.kinematics import forward
+from identify.loads import LoadCase
+from identify.units import DEG
+from tests.doe.cell_cases import BLOCK, CABINET, UNLOADED, cell, poses
+
+CELL = Path(__file__).parents[2] / "configs" / "studies" / "kr270_cell.toml"
+
+
+def walked(study, q_from, q_to, load, steps=400):
+    """(M,) least gap on the way, m."""
+    gaps, share = gaps_of(study), np.linspace(0, 1, steps)[:, None]
+    least = []
+    for a, b in zip(q_from, q_to, strict=True):
+        frames = forward(study.robot, a + share * (b - a))
+        own = [gap(frames) for gap in gaps.by_reason.values()]
+        least.append(min(g[:, min(load, g.shape[1] - 1)].min() for g in own))
+    return np.array(least)
+
+
+@pytest.mark.parametrize("load", [0, 1])
+def test_moves_are_free_where_a_walk_in_small_steps_meets_nothing(load):
+    study = cell(boxes=(CABINET,), floor=0.1, loads=(UNLOADED, BLOCK), self_collision=load == 0)
+    q = poses(study, 3000)
+    ready = [gap(forward(study.robot, q)) for gap in gaps_of(study).by_reason.values()]
+    q = q[np.min([g[:, min(load, g.shape[1] - 1)] for g in ready], axis=0) > 0.02][:160]
+    q_from, q_to = q[:80], q[80:160]
+    free = free_moves(study, q_from, q_to, np.full(80, load))
+    least = walked(study, q_from, q_to, load)
+    assert not free[least < -STEP].any()
+    assert free[least > 0].all()
+    assert 5 < free.sum() < 75
+
+
+def test_a_thin_plate_between_two_poses_is_not_jumped_over():
+    plate = Box("plate", np.array([1.6, 0.0, 1.5]), np.array([1.0, 0.0005, 1.5]), np.eye(3))
+    study = cell(boxes=(plate,), loads=(UNLOADED,))
+    left, right = (np.array([side, -90, 90, 0, 0, 0]) * DEG for side in (-60, 60))
+    assert free_moves(study, left, left).all()
+    assert not free_moves(study, left, right).any()
+    assert free_moves(replace(study, constraints=replace(study.constraints, boxes=())), left, right).all()
+
+
+def test_a_hung_weight_makes_a_move_impossible_that_is_free_without_it():
+    low = Box("table", np.array([2.0, 0.0, 0.5]), np.array([0.6, 0.2, 0.7]), np.eye(3))
+    study = cell(boxes=(low,))
+    left, right = (np.array([side, -90, 90, 0, 0, 0]) * DEG for side in (-50, 50))
+    assert free_moves(study, left, right).tolist() == [True]
+    assert free_moves(study, left, right, np.array([0, 1])[:1]).tolist() == [True]
+    assert free_moves(study, left, right, np.array([1])).tolist() == [False]
+
+
+def test_many_moves_from_one_pose_equal_single_ones_and_both_ends_count():
+    study = cell(boxes=(CABINET,), floor=0.1, loads=(UNLOADED, LoadCase("P", 10.0)))
+    q = poses(study, 40)
+    home = np.array([0, -90, 90, 0, 0, 0]) * DEG
+    together = free_moves(study, home, q)
+    assert together.tolist() == [bool(free_moves(study, home, one)[0]) for one in q]
+    np.testing.assert_array_equal(together, free_moves(study, q, home))
+    bad = np.array([[0, -5, 150, 0, 0, 0]]) * DEG
+    assert not free_moves(study, home, bad).any()
+    assert free_moves(study, np.zeros((0, 6)), np.zeros((0, 6))).shape == (0,)
+
+
+def test_shapes_that_do_not_fit_are_named():
+    study = cell()
+    with pytest.raises(InputError, match=r"shapes \(2, 6\), \(3, 6\)"):
+        free_moves(study, np.zeros((2, 6)), np.zeros((3, 6)))
+
+
+# --- in the order of a plan
+
+
+def test_moves_of_a_plan_are_free_with_what_hangs_on_the_way():
+    whole = load_study(CELL)
+    small = replace(whole.plan, candidates=600, poses=8, refine=False, stations=("front",))
+    made = plan(replace(whole, plan=small)).schedule
+    study = replace(whole, plan=small)
+    states = hung_states(made.visit_loads, np.array([load.unloaded for load in study.loads]))
+    q, home = made.q, study.constraints.home
+    left, entry = states[:-1, -1], states[1:, 0]
+    loaded = np.flatnonzero((left == entry) & (left != NOTHING))
+    assert len(loaded)
+    for visit in range(len(q) - 1):
+        hung = left[[visit]] if visit in loaded else None
+        straight = free_moves(study, q[visit], q[visit + 1], hung)[0]
+        assert straight or (
+            free_moves(study, q[visit], home, hung)[0] and free_moves(study, home, q[visit + 1], hung)[0]
+        )
+    assert free_moves(study, home, q[0])[0]
+
+
+def test_a_weight_that_cannot_go_along_is_taken_off_for_the_way():
+    q = np.array([[-1.0, 0.0], [1.0, 0.0]])
+
+    def bare_only(first, _, load):
+        return np.full(len(first), load is None)
+
+    def ordered(free):
+        travel = travel_between(q, np.zeros(2, dtype=bool), free=free, hung=np.array([False, True]))
+        visits = Visits([[0, 1], [0, 1]], [True, False], travel, Pace(), np.zeros((2, 2, 1)))
+        found, fewest = best_order(visits, np.random.default_rng(0))
+        travel.check(found.visit, found.carried, ("P001", "P002"), "study")
+        assert fewest.lifts == 2
+        return found
+
+    assert ordered(None).lifts == 2
+    assert ordered(None).carried.tolist() == [NOTHING, 1]
+    assert ordered(bare_only).lifts == 3
+    assert ordered(bare_only).carried.tolist() == [NOTHING, NOTHING]
