@@ -64,8 +64,10 @@ def bound_of(
     repeats: bool,
     prior: Floats | None = None,
     nodes: int = 0,
+    costs: tuple[Floats, Floats] | None = None,
+    budget: float | None = None,
 ) -> Bound:
-    """Proven lower bound for ``count`` experiments.
+    """Proven lower bound for ``count`` experiments, or for all that a budget pays for.
 
     Args:
         aim: The criterion.
@@ -75,27 +77,47 @@ def bound_of(
         value: What the plan reaches.
         repeats: One candidate may be measured several times.
         prior: (p, p) information that is there already, in full.
+        costs: (N,) and (n,) costs of both, together with ``budget``.
+        budget: Largest sum of costs, in place of the number of experiments.
         nodes: Most nodes of branch and bound, where ``own`` is a whole plan and nothing was there before.
     """
     if not count:
         return Bound(value, value)
     new, members = _placed(pool, own, repeats=repeats)
-    blocks = joined(pool, own[new])
-    if not nodes or prior is not None or len(members) != count:
-        return Bound(value, min(relaxed(aim, count, blocks, repeats=repeats, prior=prior).bound / count, value))
+    blocks, prices, amount = joined(pool, own[new]), None, float(count)
+    if costs is not None and budget is not None:
+        prices, amount = np.concatenate([costs[0], costs[1][new]]), budget
+    if not nodes or prices is not None or prior is not None or len(members) != count:
+        design = relaxed(aim, amount, blocks, repeats=repeats, prior=prior, costs=prices)
+        return Bound(value, min(design.bound / amount, value))
     bound, source = proven_bound(blocks, aim.target(), members, criterion=aim.criterion, repeats=repeats, nodes=nodes)
     return Bound(value, min(bound, value), source)
 
 
-def relaxed(aim: Objective, count: int, blocks: Floats, *, repeats: bool, prior: Floats | None) -> ApproximateDesign:
-    """The best weights of (N, k, p) candidates for ``count`` experiments; arguments as in `bound_of`."""
+def relaxed(
+    aim: Objective, amount: float, blocks: Floats, *, repeats: bool, prior: Floats | None, costs: Floats | None = None
+) -> ApproximateDesign:
+    """The best weights of (N, k, p) candidates.
+
+    Args:
+        aim: The criterion.
+        amount: Number of experiments, or the budget where there are costs.
+        blocks: (N, k, p) of the candidates.
+        repeats: One candidate may be measured several times.
+        prior: (p, p) information that is there already, in full.
+        costs: (N,) of the candidates.
+    """
+    cap = None if repeats else 1.0 / amount
+    if cap is not None and costs is not None:  # a budget that pays for everything
+        cap = max(cap, (1.0 + 1e-6) / float(costs.sum()))
     try:
         return approximate_design(
             blocks,
             aim.target(),
             criterion=aim.criterion,
-            max_weight=None if repeats else 1.0 / count,
-            prior=None if prior is None else prior / count,
+            max_weight=cap,
+            costs=costs,
+            prior=None if prior is None else prior / amount,
         )
     except NoConvergence as error:  # its bound is proven all the same, only not the tightest
         if not isinstance(error.best, ApproximateDesign):
@@ -111,17 +133,17 @@ def among(pool: Floats, own: Floats, *, repeats: bool) -> np.ndarray:
 def _placed(pool: Floats, own: Floats, *, repeats: bool) -> tuple[Ints, Ints]:
     """Which blocks of ``own`` are no candidates yet, and where all of them stand among candidates and these.
 
-    Without repeats a candidate stands for one only.
+    Blocks are the same if their information is: the order of the readings of a visit turns the rows alone. Without
+    repeats a candidate stands for one only.
     """
-    comparable = len(pool) > 0 and own.shape[1:] == pool.shape[1:]
-    known = pool if comparable else own[:0]
-    size, sizes = (np.einsum("nki,nki->n", blocks, blocks) for blocks in (own, known))
-    free = np.ones(len(known), dtype=bool)
+    size, sizes = (np.einsum("nki,nki->n", blocks, blocks) for blocks in (own, pool))
+    free = np.ones(len(pool), dtype=bool)
     new: list[int] = []
     members = np.zeros(len(own), dtype=np.int64)
     for index, block in enumerate(own):
         near = np.flatnonzero(free & (np.abs(sizes - size[index]) <= _SAME * size[index]))
-        same = near[np.abs(known[near] - block).max(axis=(1, 2), initial=0.0) <= _SAME * size[index] ** 0.5]
+        off = np.abs(pool[near].swapaxes(1, 2) @ pool[near] - block.T @ block).max(axis=(1, 2), initial=0.0)
+        same = near[off <= _SAME * size[index]]
         twins = [place for place, other in enumerate(new) if repeats and np.array_equal(own[other], block)]
         free[same[:1]] = repeats
         if len(same):

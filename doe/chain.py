@@ -272,7 +272,7 @@ def block_function(observer: Observer, shots: int, kept: Ints) -> Any:
         ``(q (n, 1), loads (15, L)) -> (p, k)``, with ``loads`` columns of `load_table`. It equals
         ``observer.blocks`` up to the differences taken there, see the module.
     """
-    robot, noise = observer.model.robot, observer.study.noise
+    robot, noise = observer.model.robot, observer.noise
     q, loads = ca.SX.sym("q", robot.n), ca.SX.sym("loads", 15, shots)
     visit = _visit(observer, q, loads)
     shared, own = _model_columns(observer, q, loads, visit)

@@ -12,6 +12,7 @@ from doe.feasible import screen
 from doe.guard import Guard, blind_spot, guarded_search
 from doe.off_grid import OffGrid, Visits, off_grid, search_off_grid
 from doe.pool import Pool
+from doe.purse import Purse
 from doe.reach import Reach
 from doe.refine import Others, Refinement
 from doe.robustness import value_that_counts
@@ -47,29 +48,33 @@ class Choice:
     notes: tuple[str, ...]
 
 
-def choose(pool: Pool, count: int, seed: int, reach: Reach | None = None) -> Choice:
-    """Search ``count`` experiments on the grid, then off it.
+def choose(
+    pool: Pool, count: int | None, seed: int, reach: Reach | None = None, *, purse: Purse | None = None
+) -> Choice:
+    """Search ``count`` experiments, or what the purse pays for, on the grid, then off it.
 
     Args:
         pool: The candidates.
-        count: Number of experiments.
+        count: Number of experiments; None where a purse limits it.
         seed: Of the search.
-        reach: All poses, with the columns to search off the grid; None to stay on it.
+        reach: All poses, with the columns to search off the grid; None to move the plan alone.
+        purse: What may be spent.
 
     Raises:
         Infeasible: ``max_std_percent`` cannot be met.
         NotIdentifiable: So many experiments cannot show what the criterion needs.
     """
     study, aim = pool.observer.study, pool.objective
-    log.info("%d candidates, %d parameters; searching %d experiments", len(pool.blocks), aim.size, count)
-    chosen, guard, notes = guarded_search(pool, count, seed)
+    log.info("%d candidates, %d parameters; searching %s experiments",
+             len(pool.blocks), aim.size, "affordable" if count is None else count)  # fmt: skip
+    chosen, guard, notes = guarded_search(pool, count, seed, purse=purse)
     best = guard.best
     most = None if best is None else study.plan.max_std_percent / 100.0 * best
     start = Visits(pool.candidates.visit_q[chosen], pool.candidates.visit_loads[chosen], pool.blocks[chosen])
     found, refinement = start, None
-    if study.plan.refine and count:
-        log.info("searching %d experiments off the grid", count)
-        if reach is None:
+    if study.plan.refine and len(chosen):
+        log.info("searching %d experiments off the grid", len(chosen))
+        if reach is None or count is None:
             found, refinement = _moved_beside(pool, chosen, start, most)
         else:
             found, refinement = search_off_grid(OffGrid(pool, reach, count, seed, best, most), chosen, start)
@@ -82,7 +87,8 @@ def choose(pool: Pool, count: int, seed: int, reach: Reach | None = None) -> Cho
 
 def all_poses_count(pool: Pool) -> bool:
     """True if a plan is searched among all poses: nothing was measured or refused before, and nothing may be lost."""
-    plain = pool.observer.study.plan.losses == 0 and not pool.draws
+    asked = pool.observer.study.plan
+    plain = asked.losses == 0 and not pool.draws and not asked.budgeted
     return plain and pool.prior is None and not len(pool.earlier.refused)
 
 

@@ -29,14 +29,14 @@ from doe.judgement import (
     judgement_lines,
     weakest,
 )
-from doe.next_visits import following_names
 from doe.objective import Objective
+from doe.order_report import approach_json, budget_json, budget_lines, conditions_of, order_json, order_lines
 from doe.plan import Plan, plan
 from doe.regions import poses_in
+from doe.schedule import time_as_given
 from identify.arrays import Floats
 from identify.commands import Outcome
 from identify.config import load_study
-from identify.experiment import full_experiment
 from identify.study import Study
 from identify.tables import load_plan, plan_csv, plan_experiment
 
@@ -59,8 +59,7 @@ def run_plan(study_file: Path, *, seed: int, out: Path, before: EarlierFiles = N
     study = made.pool.observer.study  # station and markers are chosen
     reached = _accuracy(study, made.pool.objective, made.covariance)
     simple = joint_only(made, seed=seed)
-    names = following_names("P", earlier.names, len(made.q)) if earlier.names else None
-    experiment = full_experiment(made.q, made.visit_loads, study.loads, study.markers, names)
+    experiment = conditions_of(made.schedule, study, earlier.names)
     content = {
         **judgement(made.pool.observer, made.pool.known, made.pool.objective, made.final, reached),
         "grid": bound_json(made.grid),
@@ -78,11 +77,16 @@ def run_plan(study_file: Path, *, seed: int, out: Path, before: EarlierFiles = N
         "robust": _robust(study, made, experiment.visits),
         "measured": _measured(study, made),
         "unreachable": list(before.unreachable),
-        "time_s": None,
+        "time_s": None if made.schedule is None else made.schedule.time,
+        "order": None if made.schedule is None else order_json(made.schedule),
+        "references": "own_visits" if made.pool.observer.own_visits else "same_visit",
+        "approach_deg": approach_json(study),
+        "budget": budget_json(made),
         "notes": [*told, *made.notes],
     }
     tables = {"plan.csv": plan_csv(experiment, study)}
-    lines = (*judgement_lines(content, len(made.q)), *curve_lines(content["curve"]))
+    lines = (*judgement_lines(content, len(made.q)), *order_lines(made.schedule), *budget_lines(made),
+             *curve_lines(content["curve"]))  # fmt: skip
     if made.decision is not None:
         tables[CHOSEN] = chosen_toml(study_file, made.decision.best, out)
         lines = (*choice_lines(made.decision), *lines)
@@ -112,7 +116,7 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
         "choices": None if decision is None else decision.as_json,
         "curve": _curve_of_poses(study, judged, seed),
         "confusability": confusability_json(study, experiment),
-        "time_s": None,
+        "time_s": time_as_given(study, experiment),
         "notes": _notes(judged.broken),
     }
     lines = (

@@ -227,7 +227,8 @@ class _Judge:
 
 def _relaxed(study: Study, seed: int) -> tuple[int, float]:
     """Rank and value of the relaxed design for one experiment."""
-    chosen, watching = candidates(study, seed=seed, warn=False), observer(study)
+    chosen, own_visits = candidates(study, seed=seed, warn=False), study.plan.references == "own_visits"
+    watching = observer(study, own_visits=own_visits)
     blocks = watching.blocks(chosen.visit_q, chosen.visit_loads)
     known = identifiable(blocks)
     aim = objective(watching, known, study.plan.criterion)

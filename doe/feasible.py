@@ -12,6 +12,9 @@ A visit is one pose and the loads that are read there. Its reason is the first o
 * *torque*: static moments about the last three joints and static joint torques within their limits, `doe.statics`.
 * *tracker_range*, *reflector_angle*, *line_of_sight*: enough markers are in range, turned to the tracker, and seen;
   each counts the markers that the one before it has left, see `doe.visibility`.
+
+Under ``[plan] approach = "same"`` the place from which a pose is approached (every joint lower) must keep to all of
+this too, but for what the tracker sees.
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ __all__ = [
     "REASONS",
     "Feasibility",
     "Screen",
+    "approach_of",
     "check",
     "count_reasons",
     "joint_range",
@@ -47,6 +51,8 @@ REASONS = (
     "tracker_range", "reflector_angle", "line_of_sight",
 )  # fmt: skip
 FEASIBLE = len(REASONS)  # the code of a visit without a reason
+
+_OF_READING = {"tracker_range", "reflector_angle", "line_of_sight"}  # nothing is read on the way
 
 _CHUNK = 4096  # poses at a time
 _ROUNDING = 1e-9  # rad or m: limits and gaps hold up to this
@@ -110,19 +116,29 @@ class Screen:
         Returns:
             (N, loads) index into `REASONS`, or `FEASIBLE`.
         """
-        parts = [self._chunk(q[start : start + _CHUNK]) for start in range(0, len(q), _CHUNK)]
+        parts = [self._approached(q[start : start + _CHUNK]) for start in range(0, len(q), _CHUNK)]
         return np.concatenate(parts) if parts else np.empty((0, len(self.study.loads)), dtype=np.int8)
 
     def check(self, q: Floats, visit_loads: Ints) -> Feasibility:
         """Check visits: (N, n) joint values, rad or m, and (N, L) indices of the loads of each visit."""
         return Feasibility(np.take_along_axis(self.codes(q), visit_loads, axis=1).min(axis=1, initial=FEASIBLE))
 
-    def _chunk(self, q: Floats) -> np.ndarray:
-        """`codes` of a few poses; what a pose has failed for every load is not looked at further."""
+    def _approached(self, q: Floats) -> np.ndarray:
+        """`codes` of a few poses, and of where they are approached from."""
+        codes, below = self._chunk(q, self.tests), approach_of(self.study)
+        return np.minimum(codes, self._chunk(q - below, self._of_moving)) if below.any() else codes
+
+    @property
+    def _of_moving(self) -> Mapping[str, Test]:
+        """The tests of places where nothing is read."""
+        return {reason: test for reason, test in self.tests.items() if reason not in _OF_READING}
+
+    def _chunk(self, q: Floats, tests: Mapping[str, Test]) -> np.ndarray:
+        """`codes` of a few poses by themselves; what a pose has failed for every load is not looked at further."""
         frames = forward(self.study.robot, q)
         codes = np.full((len(q), len(self.study.loads)), FEASIBLE, dtype=np.int8)
         left = np.arange(len(q))
-        for reason, test in self.tests.items():
+        for reason, test in tests.items():
             still = (codes[left] == FEASIBLE).any(axis=1)
             if not still.all():
                 left = left[still]
@@ -137,7 +153,12 @@ class Screen:
     def failures(self, q: Floats) -> dict[str, np.ndarray]:
         """Every reason on its own: reason -> (N, loads), True where it applies; for few poses ``q`` (N, n)."""
         frames, shape = forward(self.study.robot, q), (len(q), len(self.study.loads))
-        return {reason: np.broadcast_to(test(q, frames), shape) for reason, test in self.tests.items()}
+        found = {reason: np.broadcast_to(test(q, frames), shape) for reason, test in self.tests.items()}
+        below = approach_of(self.study)
+        if below.any():
+            frames = forward(self.study.robot, q - below)
+            found |= {reason: found[reason] | test(q - below, frames) for reason, test in self._of_moving.items()}
+        return found
 
 
 def screen(study: Study) -> Screen:
@@ -148,7 +169,7 @@ def screen(study: Study) -> Screen:
     """
     gaps, limits = gaps_of(study), statics(study)
     view = sight(study, gaps)
-    lower, upper = joint_range(study)
+    lower, upper = _limits(study)
     forbidden = ~carried(study)[None]
     tests: dict[str, Test] = {
         "joint_limits": lambda q, _: np.any((q < lower - _ROUNDING) | (q > upper + _ROUNDING), axis=1, keepdims=True)
@@ -235,6 +256,23 @@ def count_reasons(codes: np.ndarray) -> dict[str, int]:
 
 
 def joint_range(study: Study) -> tuple[Floats, Floats]:
+    """(n,) lower and (n,) upper ends of poses: joint limits less the margin, and room to come from below; rad or m.
+
+    Infinite if unknown.
+    """
+    lower, upper = _limits(study)
+    return lower + approach_of(study), upper
+
+
+def approach_of(study: Study) -> Floats:
+    """(n,) how far below a pose each joint comes from, rad or m; zero if poses are approached from anywhere."""
+    plan = study.plan
+    if plan.approach == "any":
+        return np.zeros(study.robot.n)
+    return np.where(study.robot.prismatic, plan.approach_slide, plan.approach_turn)
+
+
+def _limits(study: Study) -> tuple[Floats, Floats]:
     """(n,) lower and (n,) upper joint limits less the margin, rad or m; infinite if unknown."""
     robot, constraints = study.robot, study.constraints
     margin = np.where(robot.prismatic, constraints.joint_margin_slide, constraints.joint_margin)

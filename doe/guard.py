@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from doe.exact import exact_design
+from doe.exact import ExactDesign, exact_design
 from doe.information import standard_deviations
 from doe.losses import after_losses
 from doe.objective import Objective
 from doe.pool import AnyPool
+from doe.purse import Purse
 from doe.robust import exchanged, worst_case
 from identify.arrays import Floats, Ints
-from identify.errors import Infeasible, NotIdentifiable
+from identify.errors import Infeasible, InputError, NotIdentifiable
 
 __all__ = ["Guard", "blind_spot", "guarded_search", "search"]
 
 _GUARD_ROUNDS = 12
+_NUMBERS = 4  # numbers of experiments that a budget is tried with, beside what the search finds itself
 _USUAL_PERCENT = 300.0  # the default of max_std_percent; beyond it a plan says what it does not see
 
 
@@ -41,25 +44,34 @@ class Guard:
         return aim.guarded(self.best, self.share)
 
 
-def search(pool: AnyPool, count: int, seed: int, guard: Guard, *, effort: str = "normal") -> Ints:
+def search(
+    pool: AnyPool, count: int | None, seed: int, guard: Guard, *, effort: str = "normal", purse: Purse | None = None
+) -> Ints:
     """Indices of the chosen candidates (n,) for the criterion of the study, repeats included.
 
     Args:
         pool: What to choose from.
-        count: Number of experiments; with none nothing is chosen.
+        count: Number of experiments, with 0 nothing is chosen; None: what the purse pays for.
         seed: Of the random moves.
         guard: What is weighed in.
         effort: As in `doe.exact.exact_design`.
+        purse: What may be spent.
 
     Raises:
+        InputError: A purse in a plan that must be robust, whose exchanges do not look at costs.
         NotIdentifiable: So many experiments cannot show what the criterion needs.
     """
-    if not count:
+    if count == 0:
         return np.zeros(0, dtype=np.int64)
     aim, losses = pool.objective, pool.observer.settings.losses
-    chosen = _found(pool, guard.target(aim), count, seed, aim.criterion, effort)
+    chosen = _found(pool, guard.target(aim), count, seed, aim.criterion, effort, purse)
     if not losses and not pool.draws:
         return chosen
+    if purse is not None:
+        raise InputError(
+            f"{pool.observer.path}: [plan] {purse.key} is not for plans with robust_to_losses or draws; give poses or "
+            "tolerance_mm"
+        )
     chosen = exchanged(pool, guard.target, chosen, losses, effort, seed)
     left = after_losses(pool.blocks[chosen], losses, pool.prior)
     if not np.isfinite(worst_case([aim], [left])[0]):
@@ -70,29 +82,43 @@ def search(pool: AnyPool, count: int, seed: int, guard: Guard, *, effort: str = 
     return chosen
 
 
-def _found(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str, effort: str) -> Ints:
-    """The best design on the candidates.
+def _found(
+    pool: AnyPool,
+    target: Floats,
+    count: int | None,
+    seed: int,
+    criterion: str,
+    effort: str = "normal",
+    purse: Purse | None = None,
+) -> Ints:
+    """The best design on the candidates: ``count`` of them, or what the purse pays for.
 
     Raises:
         NotIdentifiable: So many experiments cannot show what the criterion needs.
     """
     asked = pool.observer
-    try:
-        found = exact_design(
+
+    def design(number: int | None) -> ExactDesign:
+        return exact_design(
             pool.blocks,
             target,
-            count,
+            number,
             criterion=criterion,
             repeats=asked.settings.repeats,
+            costs=None if purse is None else purse.costs,
+            budget=None if purse is None else purse.budget,
             prior=pool.prior,
             effort=effort,
             seed=seed,
         )
+
+    try:
+        found = design(count) if purse is None or count is not None else _best_buy(design, purse, len(pool.blocks))
     except NotIdentifiable as error:
         columns = [index for index in error.missing if isinstance(index, int)]
         names = tuple(pool.observer.names[pool.known.kept[index]] for index in columns)
         raise NotIdentifiable(
-            f"{asked.path}: [plan] {count} poses are too few: no plan of them shows "
+            f"{asked.path}: [plan] {_amount(count, purse)} are too few: no plan of them shows "
             f"{', '.join(names) or 'all parameters'}, which criterion {criterion} needs; plan more poses, more loads "
             "at each pose or more markers",
             names,
@@ -100,8 +126,30 @@ def _found(pool: AnyPool, target: Floats, count: int, seed: int, criterion: str,
     return np.repeat(np.arange(len(found.counts)), found.counts)
 
 
+def _best_buy(design: Callable[[int | None], ExactDesign], purse: Purse, candidates: int) -> ExactDesign:
+    """The best of what a purse pays for: any number of experiments, and some numbers between dear and cheap ones.
+
+    Exchanging one experiment for one does not get from many cheap ones to fewer dear ones.
+
+    Raises:
+        NotIdentifiable: No number shows what the criterion needs.
+    """
+    least, most = (min(int(purse.budget / cost), candidates) for cost in (purse.costs.max(), purse.costs.min()))
+    spread = np.linspace(least, most, _NUMBERS if most > least else 0)
+    found: list[ExactDesign] = []
+    missed: NotIdentifiable | None = None
+    for number in (None, *sorted({int(n) for n in spread if n >= 1})):
+        try:
+            found.append(design(number))
+        except NotIdentifiable as error:
+            missed = missed or error
+    if missed is not None and not found:
+        raise missed
+    return min(found, key=lambda each: each.value)
+
+
 def guarded_search(
-    pool: AnyPool, count: int, seed: int, best: Floats | None = None
+    pool: AnyPool, count: int | None, seed: int, best: Floats | None = None, *, purse: Purse | None = None
 ) -> tuple[Ints, Guard, tuple[str, ...]]:
     """Search; where the plan sees little but the test poses, weigh the parameters' own variances in.
 
@@ -110,6 +158,7 @@ def guarded_search(
         count: Number of experiments.
         seed: Of the search.
         best: (p,) standard deviations that count as the best; None to search for them.
+        purse: What may be spent.
 
     Returns:
         Chosen candidates, the guard they were found with, and notes.
@@ -118,11 +167,11 @@ def guarded_search(
         Infeasible: ``max_std_percent`` cannot be met.
     """
     aim, asked = pool.objective, pool.observer
-    chosen = search(pool, count, seed, Guard())
-    if aim.criterion not in {"test_pose", "G"} or not count:
+    chosen = search(pool, count, seed, Guard(), purse=purse)
+    if aim.criterion not in {"test_pose", "G"} or count == 0:
         return chosen, Guard(), ()
     if best is None:
-        thorough = _found(pool, np.eye(aim.size), count, seed, "A", "normal")
+        thorough = _found(pool, np.eye(aim.size), count, seed, "A", purse=purse)
         best = standard_deviations(pool.information(pool.blocks[thorough]))
     percent = asked.settings.max_std_percent
     name, ratio = _worst(pool, pool.blocks[chosen], best)
@@ -132,7 +181,7 @@ def guarded_search(
     share = 1e-4 * max(unguarded if np.isfinite(unguarded) else 1.0, 1e-300) / aim.size
     for _ in range(_GUARD_ROUNDS):
         guard = Guard(best, share)
-        chosen = search(pool, count, seed, guard, effort="low")
+        chosen = search(pool, count, seed, guard, effort="low", purse=purse)
         if _worst(pool, pool.blocks[chosen], best)[1] <= percent / 100.0:
             value = aim.value(pool.information(pool.blocks[chosen]))
             cost = f"costs {100 * (value / unguarded - 1):.2g} %" if np.isfinite(unguarded) else "keeps it identifiable"
@@ -143,9 +192,14 @@ def guarded_search(
             return chosen, guard, (note,)
         share *= 8.0
     raise Infeasible(
-        f"{asked.path}: [plan] max_std_percent = {percent:g} cannot be met with {count} poses: the best plan for the "
-        f"test poses tells {name} {_times(ratio)}; allow more"
+        f"{asked.path}: [plan] max_std_percent = {percent:g} cannot be met with {_amount(count, purse)}: the best "
+        f"plan for the test poses tells {name} {_times(ratio)}; allow more"
     )
+
+
+def _amount(count: int | None, purse: Purse | None) -> str:
+    """How much may be measured, in words."""
+    return f"{count} poses" if purse is None else f"the poses that {purse.key} = {purse.asked:g} pays for"
 
 
 def blind_spot(pool: AnyPool, own: Floats, best: Floats) -> tuple[str, ...]:

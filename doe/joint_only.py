@@ -50,7 +50,8 @@ def joint_only(made: Plan, *, seed: int = 0) -> JointOnly | None:
     if all(name.partition("@")[0] in {_JOINT, "geometry"} for name in study.effects):
         return None
     nominal = {name: value for name, value in study.nominal.items() if name.startswith(f"{_JOINT}.")}
-    simple = observer(replace(study, effects=(_JOINT,), nominal=nominal))
+    bare = replace(study, effects=(_JOINT,), nominal=nominal, reference=pool.observer.reference)
+    simple = observer(bare, own_visits=pool.observer.own_visits)
     try:
         blocks = simple.blocks(pool.candidates.visit_q, pool.candidates.visit_loads)
         known = identifiable(blocks)

@@ -158,8 +158,9 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
 def _proof_line(content: dict[str, Any], count: int) -> str:
     """The bound in words."""
     beside = "" if content.get("measured") is None else " beside what was measured"
+    no, reach = ("plan within the budget", "reaches") if content.get("budget") else (str(count), "reach")
     return (
-        f"proven: no {count} of these poses and the {content['candidates']} candidates{beside} reach less than "
+        f"proven: no {no} of these poses and the {content['candidates']} candidates{beside} {reach} less than "
         f"{content['bound']:.5g}, so the efficiency is at least {100 * content['efficiency']:.2f} %"
     )
 

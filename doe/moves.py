@@ -8,17 +8,19 @@ in the middle of a part is not below half of that, the whole part is free (conse
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from doe.gaps import Gaps, gaps_of
+from doe.travel import Free
 from identify.arrays import Floats, Ints
 from identify.errors import InputError
 from identify.kinematics import Frames, forward
 from identify.loads import LoadCase
 from identify.study import Study
 
-__all__ = ["STEP", "free_moves"]
+__all__ = ["STEP", "free_moves", "stated_moves"]
 
 #: Largest motion of any point between two poses that are looked at, m; the clearance where that is larger.
 STEP = 0.02
@@ -70,6 +72,14 @@ def free_moves(study: Study, q_from: Floats, q_to: Floats, loads: Ints | None = 
         move = np.repeat(move[open_], 2)
         middle = np.repeat(middle[open_], 2) + np.tile([-half, half], int(open_.sum()))
     return free
+
+
+def stated_moves(study: Study) -> Free | None:
+    """What tells free moves of a study; None where it states neither home nor floor, walls or boxes to move around."""
+    cell = study.constraints
+    if cell.home is None and cell.floor is None and not (cell.walls or cell.boxes):
+        return None
+    return partial(free_moves, study)
 
 
 def _least(study: Study, gaps: Gaps, q: Floats, loads: Ints) -> Floats:

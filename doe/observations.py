@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -10,7 +12,7 @@ import numpy as np
 
 from doe.subject import Subject
 from identify.arrays import Floats, Ints
-from identify.effects import Parameter, build_scene
+from identify.effects import Parameter, Scene, build_scene
 from identify.errors import InputError, NotIdentifiable
 from identify.experiment import Experiment, full_experiment
 from identify.identifiability import Dropped, Identifiability, independent_columns, triangle, why_not
@@ -20,7 +22,7 @@ from identify.model import Model, model_of, without_nuisance
 from identify.noise import whitening
 from identify.response import effect_columns, respond, through_columns
 from identify.six_d import with_turns
-from identify.study import PlanSettings, Study, TestPose
+from identify.study import Noise, PlanSettings, Study, TestPose
 
 __all__ = ["Observer", "error_rows", "identifiable", "keep_columns", "observer", "stacked_visits", "target_rows"]
 
@@ -35,11 +37,13 @@ class Observer:
         study: The study.
         model: Its model; without frame and markers under ``differences``, where free offsets take their place.
         reference: What the readings will be compared with.
+        own_visits: Each reading of an experiment is a visit of its own, with a pose jitter of its own.
     """
 
     study: Study
     model: Model
     reference: Literal["absolute", "differences"]
+    own_visits: bool = False
 
     @property
     def path(self) -> Path:
@@ -70,6 +74,14 @@ class Observer:
     def weights(self) -> Floats:
         """(t,) weights of the test poses."""
         return np.array([pose.weight for pose in self.study.test_poses])
+
+    @property
+    def noise(self) -> Noise:
+        """Noise of the readings of an experiment: in visits of their own the pose jitter is new in each of them."""
+        stated = self.study.noise
+        if not self.own_visits:
+            return stated
+        return replace(stated, pose_jitter=0.0, reading_jitter=math.hypot(stated.pose_jitter, stated.reading_jitter))
 
     def test_rows(self) -> Floats:
         """(t, 3, p) error of the point of each test pose, base frame, m per unit of each parameter."""
@@ -103,11 +115,18 @@ class Observer:
         return stacked_visits(self, full_experiment(q, visit_loads, self.study.loads, self.study.markers))
 
 
-def observer(study: Study) -> Observer:
+def observer(study: Study, *, own_visits: bool = False) -> Observer:
     """The observer of a study.
 
     ``reference = "auto"`` becomes ``differences`` where the mass of a moved link is unknown, else
     ``absolute``: the rule that `identify` follows when the model is right.
+
+    Args:
+        study: The study.
+        own_visits: The unloaded state is read in visits of its own.
+
+    Raises:
+        InputError: Visits of their own under ``differences``, which compares the readings of one visit.
     """
     model = model_of(study)
     reference = study.reference
@@ -115,24 +134,38 @@ def observer(study: Study) -> Observer:
         elastic = any(effect.yields for effect in model.effects)
         compares = elastic and (study.plan.reference_rows or study.plan.loads_per_pose > 1)
         reference = "differences" if compares and not study.robot.masses_known else "absolute"
-    return Observer(study, model if reference == "absolute" else without_nuisance(model), reference)
+    if own_visits and reference == "differences":
+        why = "is asked for" if study.reference == reference else "is needed: the mass of a moved link is unknown"
+        raise InputError(
+            f'{study.path}: [plan] references = "own_visits": reference "differences" {why}, which compares readings '
+            'of one visit, and visits of their own hold one reading each; write references = "same_visit"'
+        )
+    return Observer(study, model if reference == "absolute" else without_nuisance(model), reference, own_visits)
 
 
-def stacked_visits(observer: Observer, experiment: Experiment) -> Floats:
+def stacked_visits(observer: Observer, experiment: Experiment, more: Callable[[Scene], Floats] | None = None) -> Floats:
     """Blocks of the visits that have rows, of any layout and in their order, (V, k, p).
 
     Short ones are filled up with rows of zeros.
+
+    Args:
+        observer: The observer.
+        experiment: The visits.
+        more: ``scene -> (R, 3, c)`` further columns behind those of the model, SI; the blocks are then (V, k, p + c).
     """
     model = observer.model
     if observer.study.six_d:
         experiment = with_turns(experiment)
     response = respond(model, experiment, model.nominal)
     free_offsets = observer.reference == "differences"
-    operators = whitening(response.scene, observer.study.noise, _station(observer.study), free_offsets=free_offsets)
-    groups = list(operators.blocks(response.derivative))
+    operators = whitening(response.scene, observer.noise, _station(observer.study), free_offsets=free_offsets)
+    columns = response.derivative
+    if more is not None:
+        columns = np.concatenate([columns, more(response.scene)], axis=2)
+    groups = list(operators.blocks(columns))
     first = np.concatenate([rows[:, 0] for rows, _ in operators.groups])  # rows of one visit stand together
     place = np.argsort(np.argsort(first))
-    blocks = np.zeros((len(first), max(group.shape[1] for group in groups), len(model.parameters)))
+    blocks = np.zeros((len(first), max(group.shape[1] for group in groups), columns.shape[2]))
     start = 0
     for group in groups:
         blocks[place[start : start + len(group)], : group.shape[1]] = group

@@ -97,9 +97,9 @@ def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING) -> Pool:
     study = with_regions(study)
     drawn = drawn_values(study, seed) if study.plan.draws else ()
     chosen = without_refused(study, candidates(study, seed=seed), earlier)
-    watching = observer(study)
+    watching = observer(study, own_visits=study.plan.references == "own_visits")
     blocks = watching.blocks(chosen.visit_q, chosen.visit_loads)
-    measured = None if earlier.measured is None else stacked_visits(watching, earlier.measured)
+    measured = _measured(watching, earlier)
     known = identifiable(blocks, measured)
     own = _pool(watching, chosen, known, blocks, earlier, measured)
     draws = tuple(_at_values(own, replace(study, nominal=values)) for values in drawn)
@@ -111,10 +111,18 @@ def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING) -> Pool:
 
 def _at_values(pool: Pool, study: Study) -> Pool:
     """The same candidates and parameters at other nominal values."""
-    watching, earlier = replace(observer(study), reference=pool.observer.reference), pool.earlier
+    nominal = pool.observer
+    watching = replace(observer(study, own_visits=nominal.own_visits), reference=nominal.reference)
     blocks = watching.blocks(pool.candidates.visit_q, pool.candidates.visit_loads)
-    measured = None if earlier.measured is None else stacked_visits(watching, earlier.measured)
-    return _pool(watching, pool.candidates, pool.known, blocks, earlier, measured)
+    measured = _measured(watching, pool.earlier)
+    return _pool(watching, pool.candidates, pool.known, blocks, pool.earlier, measured)
+
+
+def _measured(watching: Observer, earlier: Earlier) -> Floats | None:
+    """(V, k, p) blocks of what was measured, whose visits are as they were, whatever those of the plan will be."""
+    if earlier.measured is None:
+        return None
+    return stacked_visits(replace(watching, own_visits=False), earlier.measured)
 
 
 def _pool(

@@ -26,11 +26,12 @@ from doe.judgement import (
     weakest,
 )
 from doe.objective import Objective
+from doe.order_report import approach_json, conditions_of, in_turn, order_json, order_lines
+from doe.schedule import time_as_given
 from doe.two_arm_plan import TwoArmEvaluation, TwoArmPlan, evaluate_both, plan_for_both, relative_accuracy
 from identify.arrays import Floats
 from identify.commands import Outcome
 from identify.errors import InputError
-from identify.experiment import full_experiment
 from identify.tables import load_plan, plan_csv, plan_experiment
 from identify.two_arm_config import load_two_arm_study
 from identify.two_arm_study import TwoArmStudy
@@ -70,16 +71,22 @@ def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_
         "std": standard_deviations(made.information),
         **counts(*pool.candidates),
         "curve": _curve_of_plan(study, made, seed),
-        "time_s": None,
+        "time_s": in_turn(own.time for own in made.schedules if own is not None),
+        "order": {
+            arm.name: None if own is None else order_json(own)
+            for arm, own in zip(study.arms, made.schedules, strict=True)
+        },
+        "approach_deg": _by_arm(study, [approach_json(arm.study) for arm in study.arms]),
         "notes": [*made.choice.notes, _APART],
     }
     tables = {
-        _plan_name(arm.name): plan_csv(
-            full_experiment(own.q, own.visit_loads, arm.study.loads, arm.study.markers), arm.study
-        )
-        for arm, own in zip(study.arms, arms, strict=True)
+        _plan_name(arm.name): plan_csv(conditions_of(own, arm.study), arm.study)
+        for arm, own in zip(study.arms, made.schedules, strict=True)
     }
-    return Outcome("plan", content, study.inputs, tables, _lines(content))
+    lines = [*_lines(content)]
+    for arm, own in zip(study.arms, made.schedules, strict=True):
+        lines += [f"{arm.name}: {line}" for line in order_lines(own)]
+    return Outcome("plan", content, study.inputs, tables, tuple(lines))
 
 
 def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:
@@ -106,7 +113,7 @@ def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:
         **counts(*judged.candidates),
         "curve": _curve_of_poses(study, judged, seed),
         "confusability": _by_arm(study, confused),
-        "time_s": None,
+        "time_s": in_turn(time_as_given(arm.study, e) for arm, e in zip(study.arms, experiments, strict=True)),
         "notes": [],
     }
     lines = list(_lines(content))

@@ -11,12 +11,15 @@ import numpy as np
 from doe.accuracy import Accuracy
 from doe.bounds import Bound, bound_of, joined
 from doe.candidates import Candidates
+from doe.drift import yardstick
 from doe.information import covariance_of, information_of
+from doe.moves import stated_moves
 from doe.objective import Objective, objective
 from doe.observations import identifiable, keep_columns, stacked_visits
+from doe.schedule import Schedule, schedule
 from doe.tolerance import fewest
 from doe.two_arm_choice import TwoArmChoice, choose_for_both
-from doe.two_arm_pool import TwoArmPool, build_two_arm_pool, drawn
+from doe.two_arm_pool import TwoArmPool, build_two_arm_pool, drawn, kept_of
 from doe.two_arms import TwoArmObserver, relative_jitter, two_arm_observer
 from identify.arrays import Floats
 from identify.errors import Infeasible
@@ -39,6 +42,7 @@ class TwoArmPlan:
         grid: Value and bound before refinement.
         final: Value and bound of this plan, on the candidates of both arms and its own poses.
         information: (p, p) of the identifiable parameters.
+        schedules: The visits of each arm in the order of measuring; None for an arm without any.
     """
 
     pool: TwoArmPool
@@ -46,6 +50,7 @@ class TwoArmPlan:
     grid: Bound
     final: Bound
     information: Floats
+    schedules: tuple[Schedule | None, ...]
 
     @property
     def covariance(self) -> Floats:
@@ -106,7 +111,25 @@ def plan_for_both(study: TwoArmStudy, *, seed: int = 0) -> TwoArmPlan:
 
     grid = bound(choice.grid)
     information, final = information_of(choice.own), grid if choice.own is choice.grid else bound(choice.own)
-    return TwoArmPlan(pool, choice, grid, final, information)
+    return TwoArmPlan(pool, choice, grid, final, information, _schedules(pool, choice, information, seed))
+
+
+def _schedules(pool: TwoArmPool, choice: TwoArmChoice, information: Floats, seed: int) -> tuple[Schedule | None, ...]:
+    """The visits of each arm in order; what drift leaves is that of the relative error."""
+    covariance = covariance_of(information)
+    measure = yardstick(pool.objective, covariance)
+    gain = measure.rows @ covariance
+    found: list[Schedule | None] = []
+    for side, own in enumerate(choice.arms):
+        kept, place = kept_of(pool.observer, pool.known, side)
+        arm = pool.observer.arms[side]
+        cell = arm.study.constraints
+        ordered = None
+        if len(own.q):
+            ordered = schedule(arm, own.q, own.visit_loads, kept, gain[:, place], measure, seed=seed, home=cell.home,
+                               free=stated_moves(arm.study))  # fmt: skip
+        found.append(ordered)
+    return tuple(found)
 
 
 def evaluate_both(study: TwoArmStudy, experiments: Sequence[Experiment], *, seed: int = 0) -> TwoArmEvaluation:

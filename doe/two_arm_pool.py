@@ -63,9 +63,16 @@ def build_two_arm_pool(study: TwoArmStudy, seed: int) -> TwoArmPool:
     """Candidates of both arms, their blocks and the objective.
 
     Raises:
+        InputError: An arm wants its unloaded readings in visits of their own.
         NotIdentifiable: The criterion needs what no candidate of either arm shows.
         Infeasible: An arm has no candidate that keeps to its constraints.
     """
+    for arm in study.arms:
+        if arm.study.plan.references == "own_visits":
+            raise InputError(
+                f'{arm.study.path}: [plan] references = "own_visits" is for the arm alone; a plan of both arms '
+                'takes "same_visit"'
+            )
     watching = two_arm_observer(study)
     first, second = (drawn(study, side, seed) for side in (0, 1))
     blocks = joined(*(watching.blocks(side, c.visit_q, c.visit_loads) for side, c in enumerate((first, second))))

@@ -45,6 +45,7 @@ from identify.study_records import (
     stations,
     test_pose,
     test_region,
+    times_from,
 )
 from identify.units import DEG, MM
 
@@ -82,7 +83,7 @@ def load_study(path: str | Path) -> Study:
     problems.settle()
     if robot is None:  # a robot that cannot be had is a problem, so this is only for the type checker
         raise InputError(f"{path}: [robot] cannot be read")
-    return _study(file, path, robot, robot_file)
+    return _study(file, path, robot, robot_file, timed="times" in data)
 
 
 # ---- tables
@@ -200,10 +201,11 @@ def _robot(file: StudyFile, path: Path, problems: Problems) -> tuple[Robot | Non
 # ---- to records in SI
 
 
-def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study:
-    """The study of a file without problems."""
+def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path, *, timed: bool) -> Study:
+    """The study of a file without problems; ``timed`` if it says how long measuring takes."""
     frames, model = file.frames or FramesSection(), file.model or ModelSection()
     loads, possible = load_cases(file.loads or []), stations(file.tracker_stations or [])
+    costs = {table.id: table.cost for table in file.loads or []}
     plan = plan_settings(file.plan or PlanSection(), loads, possible)
     noise = noise_from(file.noise or NoiseSection(), Noise())
     return Study(
@@ -233,4 +235,6 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path) -> Study
         inputs=(path, robot_file),
         stations=possible,
         marker_choices=tuple(file.marker_choices.points if file.marker_choices else ()),
+        times=times_from(file.times) if timed and file.times is not None else None,
+        load_costs=tuple(costs.get(load.name, 0.0) for load in loads),
     )

@@ -25,6 +25,7 @@ __all__ = [
     "Section",
     "TestPoseSection",
     "TestRegionSection",
+    "TimesSection",
     "ToolSection",
     "TrackerSection",
     "TruthSection",
@@ -92,6 +93,7 @@ class LoadSection(Section):
     hang_mm: NotNegative = 0.0
     wrench: Wrench = [0.0] * 6
     frame: Axes = "world"
+    cost: NotNegative = 0.0
 
 
 class TrackerSection(Section):
@@ -197,6 +199,24 @@ class PlanSection(TwoArmPlanSection):
     markers: Count | None = None
     robust_to_losses: Annotated[int, Field(strict=True, ge=0, le=2)] = 0
     draws: Annotated[int, Field(strict=True, ge=0, le=64)] = 0
+    references: Literal["same_visit", "own_visits", "auto"] = "same_visit"
+    approach: Literal["any", "same"] = "any"
+    approach_deg: Positive = 2.0
+    approach_mm: Positive = 2.0
+    time_budget_s: Positive | None = None
+    cost_budget: Positive | None = None
+    pose_cost: NotNegative = 0.0
+
+
+class TimesSection(Section):
+    """``[times]``."""
+
+    pose_s: NotNegative = 0.0
+    reading_s: NotNegative = 0.0
+    load_change_s: NotNegative = 0.0
+    speed_deg_s: Positive | None = None
+    speed_mm_s: Positive | None = None
+    start_s: NotNegative = 0.0
 
 
 class ArmSection(Section):

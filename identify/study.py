@@ -26,12 +26,15 @@ __all__ = [
     "Study",
     "TestPose",
     "TestRegion",
+    "Times",
     "Tracker",
 ]
 
 Criterion = Literal["test_pose", "A", "D", "E", "G"]
 Reference = Literal["absolute", "differences", "auto"]
 Equilibrium = Literal["linear", "loaded"]
+References = Literal["same_visit", "own_visits", "auto"]
+Approach = Literal["any", "same"]
 RowAlgebra = Literal["vectors", "dual_quaternions", "dual_quaternion_deviations"]
 
 
@@ -140,8 +143,8 @@ class PlanSettings:
     """What the plan is asked for (section ``[plan]``).
 
     Attributes:
-        poses: Number of experiments; None where a tolerance is stated instead.
-        tolerance: Radius at the test poses, m; None where ``poses`` is stated.
+        poses: Number of experiments; None where a tolerance or a budget is stated instead.
+        tolerance: Radius at the test poses, m; None where ``poses`` or a budget is stated.
         confidence: Confidence of the tolerance.
         loads: Names of the loads to choose from.
         criterion: test_pose, A, D, E or G.
@@ -156,6 +159,13 @@ class PlanSettings:
         curve: Also tell the accuracy against the number of experiments.
         losses: Visits that may be lost: the plan is the best after losing any so many.
         draws: Draws of uncertain nominal values on which the plan is good on average; 0: at the nominal ones.
+        references: The unloaded state is read in the visit of the loaded ones, or in visits of its own.
+        approach: Poses are approached from anywhere, or every joint always from below (``same``).
+        approach_turn: Least distance from which turning joints come under ``same``, rad.
+        approach_slide: The same of sliding joints, m.
+        time_budget: Time that the whole plan may take, s, or None.
+        cost_budget: What the readings and poses may cost together, or None.
+        pose_cost: Cost of one visit.
     """
 
     poses: int | None = 15
@@ -174,6 +184,39 @@ class PlanSettings:
     curve: bool = True
     losses: int = 0
     draws: int = 0
+    references: References = "same_visit"
+    approach: Approach = "any"
+    approach_turn: float = 2.0 * DEG
+    approach_slide: float = 2.0 * MM
+    time_budget: float | None = None
+    cost_budget: float | None = None
+    pose_cost: float = 0.0
+
+    @property
+    def budgeted(self) -> bool:
+        """True where a budget takes the place of a number of experiments."""
+        return self.time_budget is not None or self.cost_budget is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Times:
+    """How long measuring takes (section ``[times]``).
+
+    Attributes:
+        pose: To settle at a pose and take the first reading, s.
+        reading: Each further reading of a visit, s.
+        load_change: One crane operation, to hang a weight or to take one off, s.
+        speed: Of turning joints between poses, rad/s; infinite: travel takes no time.
+        speed_slide: Of sliding joints, m/s.
+        start: Before the first pose, s.
+    """
+
+    pose: float = 0.0
+    reading: float = 0.0
+    load_change: float = 0.0
+    speed: float = float("inf")
+    speed_slide: float = float("inf")
+    start: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,6 +325,8 @@ class Study:
         inputs: Every file the study was read from.
         stations: Where the tracker can stand.
         marker_choices: Names of the markers that the plan chooses from; they stand among ``markers``.
+        times: How long measuring takes, or None if the study does not say.
+        load_costs: Cost of a reading under each load; empty: none costs anything.
     """
 
     path: Path
@@ -315,6 +360,9 @@ class Study:
             return self.noise.tracker.station
         named = {station.name: station.position for station in self.stations}
         return next((named[name] for name in (*self.plan.stations, *named)), None)
+
+    times: Times | None = None
+    load_costs: tuple[float, ...] = ()
 
     @property
     def joint_units(self) -> np.ndarray:

@@ -25,6 +25,7 @@ from identify.units import DEG, MM
 
 __all__ = ["check_effects", "check_plan", "check_study", "check_test_pose"]
 
+_BUDGETS = ("time_budget_s", "cost_budget")
 _EFFECT = re.compile(r"([a-z_]+)(@[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)?)?")
 
 
@@ -42,6 +43,8 @@ def check_study(file: StudyFile, robot: Robot | None, problems: Problems) -> Non
             problems.add(f"[[models]] {i + 1} name", "stands twice; every model needs its own", choice.name)
     if file.plan is not None:
         check_plan(file.plan, file.loads, problems)
+        _check_references(file, file.plan, problems)
+        _check_budget(file, file.plan, problems)
     if file.reduce is not None and robot is not None:
         _check_beams(file.reduce, robot, problems)
     if robot is not None:
@@ -51,6 +54,8 @@ def check_study(file: StudyFile, robot: Robot | None, problems: Problems) -> Non
             _check_region(region, robot, f"[[test_regions]] {i + 1}", problems)
         if file.constraints is not None:
             _check_margins(file.constraints, robot, problems)
+        if file.plan is not None and file.plan.approach == "same":
+            _check_approach(file.plan, file.constraints or ConstraintsSection(), robot, problems)
     check_cell(file, robot, problems)
 
 
@@ -126,14 +131,25 @@ def check_effects(effects: Sequence[str], key: str, problems: Problems) -> None:
 
 
 def check_plan(plan: PlanSection, loads: list[LoadSection] | None, problems: Problems) -> None:
-    """Poses or a tolerance; loads that exist and load the robot."""
-    if plan.poses is not None and plan.tolerance_mm is not None:
-        problems.add("[plan] poses", "give poses or tolerance_mm, not both", plan.poses)
+    """Poses, a tolerance or a budget; loads that exist and load the robot."""
+    aims = [aim for aim in ("poses", "tolerance_mm", *_BUDGETS) if getattr(plan, aim) is not None]
+    if len(aims) > 1:
+        choice = f"{', '.join(aims[:-1])} or {aims[-1]}"
+        problems.add(f"[plan] {aims[0]}", f"give {choice}, not {'both' if len(aims) == 2 else 'all'}",
+                     getattr(plan, aims[0]))  # fmt: skip
     for key in ("robust_to_losses", "draws"):
         if getattr(plan, key) and plan.criterion == "E":
             problems.add(f"[plan] {key}", "is not for criterion E; choose test_pose, A, D or G", getattr(plan, key))
+        if getattr(plan, key) and aims and aims[0] in _BUDGETS:
+            said = f"is not for {aims[0]}: exchanges do not look at costs; give poses or tolerance_mm"
+            problems.add(f"[plan] {key}", said, getattr(plan, key))
     if plan.poses is not None and plan.robust_to_losses >= plan.poses:
         problems.add("[plan] robust_to_losses", f"must be below poses = {plan.poses}", plan.robust_to_losses)
+    if plan.robust_to_losses and plan.references != "same_visit":
+        said = (
+            f'is not for references = "{plan.references}", where one experiment is several visits; write "same_visit"'
+        )
+        problems.add("[plan] robust_to_losses", said, plan.robust_to_losses)
     if loads is None or plan.loads is None:
         return
     known = {case.name: case for case in load_cases(loads)}
@@ -152,6 +168,55 @@ def check_plan(plan: PlanSection, loads: list[LoadSection] | None, problems: Pro
         )
     elif plan.loads_per_pose > len(plan.loads):
         problems.add("[plan] loads_per_pose", f"at most {len(plan.loads)}, the number of loads", plan.loads_per_pose)
+
+
+def _check_references(file: StudyFile, plan: PlanSection, problems: Problems) -> None:
+    """Unloaded visits of their own need unloaded readings, and readings that are compared with the model."""
+    if plan.references != "own_visits":
+        return
+    if not plan.reference_rows:
+        problems.add("[plan] references", "needs reference_rows = true: there are no unloaded readings", "own_visits")
+    if file.model is not None and file.model.reference == "differences":
+        problems.add(
+            "[plan] references",
+            'not with [model] reference = "differences", which compares readings of one visit; write "same_visit"',
+            "own_visits",
+        )
+
+
+def _check_budget(file: StudyFile, plan: PlanSection, problems: Problems) -> None:
+    """A budget needs times or costs, and must reach beyond the start."""
+    times, loads = file.times, file.loads or []
+    if plan.time_budget_s is not None and times is not None:
+        if times.pose_s == 0:
+            problems.add(
+                "[times] pose_s", "is missing or zero; [plan] time_budget_s needs the time of a pose, for example 60.0"
+            )
+        if times.start_s >= plan.time_budget_s:
+            problems.add(
+                "[plan] time_budget_s", f"must be above [times] start_s = {times.start_s:g}", plan.time_budget_s
+            )
+    if plan.cost_budget is not None and plan.pose_cost == 0:
+        loaded = [case.name for case in load_cases(loads) if not case.unloaded]
+        free = [load.id for load in loads if load.cost == 0 and load.id in (plan.loads or loaded)]
+        if free or not loaded:
+            what = f" or a cost to the loads {', '.join(free)}" if free else ""
+            problems.add("[plan] cost_budget", f"visits would cost nothing: give pose_cost{what}", plan.cost_budget)
+
+
+def _check_approach(plan: PlanSection, table: ConstraintsSection, robot: Robot, problems: Problems) -> None:
+    """Every joint has room to come from below."""
+    for slides, key, margin, unit in (
+        (False, "approach_deg", table.joint_margin_deg, DEG),
+        (True, "approach_mm", table.joint_margin_mm, MM),
+    ):
+        tight = [
+            name
+            for name, low, high, kind in zip(robot.joints, robot.lower, robot.upper, robot.prismatic, strict=True)
+            if kind == slides and high - low <= (2 * margin + getattr(plan, key)) * unit
+        ]
+        if tight:
+            problems.add(f"[plan] {key}", f"leaves no range to joint {', '.join(tight)}", getattr(plan, key))
 
 
 def _check_beams(table: ReduceSection, robot: Robot, problems: Problems) -> None:

@@ -20,6 +20,7 @@ from identify.schema import (
     Section,
     TestPoseSection,
     TestRegionSection,
+    TimesSection,
     ToolSection,
 )
 
@@ -43,6 +44,7 @@ STUDY_SECTIONS: dict[str, tuple[type[Section], bool]] = {
     "plan": (PlanSection, False),
     "constraints": (ConstraintsSection, False),
     "reduce": (ReduceSection, False),
+    "times": (TimesSection, False),
 }
 
 
@@ -66,5 +68,6 @@ class StudyFile:
     plan: PlanSection | None
     constraints: ConstraintsSection | None
     reduce: ReduceSection | None
+    times: TimesSection | None
     options: Mapping[str, Mapping[str, Any]]
     models: list[tuple[ModelChoiceSection, Mapping[str, Mapping[str, Any]]]]

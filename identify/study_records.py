@@ -28,9 +28,10 @@ from identify.schema import (
     PointSection,
     ReduceSection,
     TestRegionSection,
+    TimesSection,
     TrackerSection,
 )
-from identify.study import Constraints, Noise, PlanSettings, ReduceSettings, TestPose, TestRegion, Tracker
+from identify.study import Constraints, Noise, PlanSettings, ReduceSettings, TestPose, TestRegion, Times, Tracker
 from identify.transforms import roll_pitch_yaw
 from identify.units import DEG, GPA, MM, UM, URAD
 
@@ -45,6 +46,7 @@ __all__ = [
     "stations",
     "test_pose",
     "test_region",
+    "times_from",
 ]
 
 
@@ -164,7 +166,8 @@ def test_region(table: TestRegionSection, robot: Robot) -> TestRegion:
 
 def plan_settings(table: PlanSection, loads: Sequence[LoadCase], possible: Sequence[Station] = ()) -> PlanSettings:
     """What the plan is asked for, in SI; it chooses among all possible stations unless it names some."""
-    poses = 15 if table.poses is None and table.tolerance_mm is None else table.poses
+    aims = (table.poses, table.tolerance_mm, table.time_budget_s, table.cost_budget)
+    poses = 15 if all(aim is None for aim in aims) else table.poses
     loaded = [load.name for load in loads if not load.unloaded]
     return PlanSettings(
         poses=poses,
@@ -183,6 +186,25 @@ def plan_settings(table: PlanSection, loads: Sequence[LoadCase], possible: Seque
         curve=table.curve,
         losses=table.robust_to_losses,
         draws=table.draws,
+        references=table.references,
+        approach=table.approach,
+        approach_turn=table.approach_deg * DEG,
+        approach_slide=table.approach_mm * MM,
+        time_budget=table.time_budget_s,
+        cost_budget=table.cost_budget,
+        pose_cost=table.pose_cost,
+    )
+
+
+def times_from(table: TimesSection) -> Times:
+    """How long measuring takes, in SI."""
+    return Times(
+        pose=table.pose_s,
+        reading=table.reading_s,
+        load_change=table.load_change_s,
+        speed=np.inf if table.speed_deg_s is None else table.speed_deg_s * DEG,
+        speed_slide=np.inf if table.speed_mm_s is None else table.speed_mm_s * MM,
+        start=table.start_s,
     )
 
 

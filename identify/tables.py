@@ -379,10 +379,14 @@ def _in_order(rows: _Rows) -> _Rows:
 def plan_csv(experiment: Experiment, study: Study) -> str:
     """Text of ``plan.csv``: one row a visit and load, in the order of the shots.
 
-    Where the experiment states from where a pose is approached, or a wrench, their columns follow.
+    Where the experiment states when a shot is taken (at its first row), from where a pose is approached, or a wrench,
+    their columns follow.
     """
     shot = np.arange(len(experiment.shot_visit))
     header, columns = _shot_columns(experiment, study, shot)
+    if experiment.time is not None:
+        first = np.searchsorted(experiment.row_shot, shot)
+        _append(header, columns, [(["time_s"], experiment.time[first][:, None])])
     _append(header, columns, _conditions(experiment, study, shot))
     return csv_text(header, columns)
 

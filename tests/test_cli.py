@@ -154,13 +154,13 @@ def test_plan_json_holds_what_the_interface_promises(files):
     assert {"name", "value", "rms_mm", "rms_total_mm"} <= set(content["criterion"])
     assert set(content["grid"]) == {"value", "bound", "efficiency"}
     for key in ("bound", "efficiency", "efficiency_continuous", "rank", "parameters", "nonidentifiable", "candidates",
-                "rejected", "time_s"):  # fmt: skip
+                "rejected", "time_s", "order"):  # fmt: skip
         assert key in content
     assert content["criterion"]["rms_mm"] == pytest.approx(content["criterion"]["value"] ** 0.5, rel=1e-9)
     assert content["efficiency"] == pytest.approx(content["bound"] / content["criterion"]["value"], rel=1e-9)
     rows = (files / "out" / "plan.csv").read_text().splitlines()
     assert rows[0] == HEADER
-    assert [row.split(",")[1] for row in rows[1:]] == ["L0", "L1"] * 12
+    assert [row.split(",")[1] for row in rows[1:]] == ["L0", "L1", "L1", "L0"] * 6, "one crane operation a visit"
     assert call(files, "evaluate", "study.toml", "out/plan.csv", "--out", str(files / "ev")) == 0
     judged = json.loads((files / "ev" / "evaluate.json").read_text())
     assert set(judged["criteria"]) == {"test_pose", "A", "D", "E", "G"}

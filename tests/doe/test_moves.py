@@ -1,18 +1,27 @@
 """Straight joint moves against a walk in tiny steps."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from doe.gaps import gaps_of
+from doe.lifts import NOTHING, hung_states
 from doe.moves import STEP, free_moves
+from doe.order import Pace, Visits
+from doe.order_search import best_order
+from doe.plan import plan
+from doe.travel import travel_between
 from identify.cell import Box
+from identify.config import load_study
 from identify.errors import InputError
 from identify.kinematics import forward
 from identify.loads import LoadCase
 from identify.units import DEG
 from tests.doe.cell_cases import BLOCK, CABINET, UNLOADED, cell, poses
+
+CELL = Path(__file__).parents[2] / "configs" / "studies" / "kr270_cell.toml"
 
 
 def walked(study, q_from, q_to, load, steps=400):
@@ -74,3 +83,45 @@ def test_shapes_that_do_not_fit_are_named():
     study = cell()
     with pytest.raises(InputError, match=r"shapes \(2, 6\), \(3, 6\)"):
         free_moves(study, np.zeros((2, 6)), np.zeros((3, 6)))
+
+
+# --- in the order of a plan
+
+
+def test_moves_of_a_plan_are_free_with_what_hangs_on_the_way():
+    whole = load_study(CELL)
+    small = replace(whole.plan, candidates=600, poses=8, refine=False, stations=("front",))
+    made = plan(replace(whole, plan=small)).schedule
+    study = replace(whole, plan=small)
+    states = hung_states(made.visit_loads, np.array([load.unloaded for load in study.loads]))
+    q, home = made.q, study.constraints.home
+    left, entry = states[:-1, -1], states[1:, 0]
+    loaded = np.flatnonzero((left == entry) & (left != NOTHING))
+    assert len(loaded)
+    for visit in range(len(q) - 1):
+        hung = left[[visit]] if visit in loaded else None
+        straight = free_moves(study, q[visit], q[visit + 1], hung)[0]
+        assert straight or (
+            free_moves(study, q[visit], home, hung)[0] and free_moves(study, home, q[visit + 1], hung)[0]
+        )
+    assert free_moves(study, home, q[0])[0]
+
+
+def test_a_weight_that_cannot_go_along_is_taken_off_for_the_way():
+    q = np.array([[-1.0, 0.0], [1.0, 0.0]])
+
+    def bare_only(first, _, load):
+        return np.full(len(first), load is None)
+
+    def ordered(free):
+        travel = travel_between(q, np.zeros(2, dtype=bool), free=free, hung=np.array([False, True]))
+        visits = Visits([[0, 1], [0, 1]], [True, False], travel, Pace(), np.zeros((2, 2, 1)))
+        found, fewest = best_order(visits, np.random.default_rng(0))
+        travel.check(found.visit, found.carried, ("P001", "P002"), "study")
+        assert fewest.lifts == 2
+        return found
+
+    assert ordered(None).lifts == 2
+    assert ordered(None).carried.tolist() == [NOTHING, 1]
+    assert ordered(bare_only).lifts == 3
+    assert ordered(bare_only).carried.tolist() == [NOTHING, NOTHING]

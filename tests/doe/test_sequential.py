@@ -318,3 +318,28 @@ def test_orientations_that_the_study_counts_on_must_be_there(measured, tmp_path)
     whole = study(tmp_path, KR270, noise={"orientation_urad": 50.0})
     with pytest.raises(InputError, match="columns qw, qx, qy, qz are missing"):
         load_earlier(whole, EarlierFiles(measured=measured / "read/measurements.csv"))
+
+
+# --- with the order of measuring
+
+
+def test_what_was_measured_keeps_its_own_jitter_where_new_readings_are_visits_of_their_own(tmp_path):
+    whole = study(tmp_path, KR270, model=ABSOLUTE, plan={"candidates": 100, "poses": 4, "refine": False})
+    apart = replace(whole, plan=replace(whole.plan, references="own_visits"))
+    earlier = Earlier(measured=taken(whole, 5))
+    within, made = build_pool(whole, 0, earlier), plan(apart, earlier=earlier)
+    assert made.pool.observer.own_visits
+    assert made.pool.prior == pytest.approx(within.prior, rel=1e-9)
+    assert len(made.schedule.q) == 8
+    judged = evaluate(whole, both(whole, earlier.measured, made))
+    assert judged.bound.value != pytest.approx(made.final.value, rel=1e-3), "new readings share no jitter"
+
+
+def test_a_budget_beside_what_was_measured(tmp_path):
+    whole = study(tmp_path, KR270, plan={"candidates": 100, "poses": None, "cost_budget": 8.0, "pose_cost": 2.0})
+    first = taken(whole, 5)
+    made = plan(whole, earlier=Earlier(measured=first))
+    assert len(made.q) == 4
+    assert made.bought.spent <= 8.0
+    assert evaluate(whole, both(whole, first, made)).bound.value == pytest.approx(made.final.value, rel=1e-6)
+    assert 0.5 * made.final.value < made.final.bound <= made.final.value

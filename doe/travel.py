@@ -1,0 +1,152 @@
+"""From pose to pose: how long the moves of the joints are and how long they take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from identify.arrays import Floats, Ints, frozen
+from identify.errors import Infeasible, InputError
+from identify.units import DEG
+
+__all__ = ["Free", "Travel", "travel_between"]
+
+#: ``(q_from (K, n), q_to (K, n), loads (K,) or None) -> (K,)``: True where the straight move of the joints is free, in
+#: both directions, with this load hung on the way; None: with nothing hung.
+Free = Callable[[Floats, Floats, Ints | None], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Travel:
+    """Moves between V poses, and from the home pose, which stands last; without one it costs nothing to begin anywhere.
+
+    The first axis is what hangs on the way: each load, and in the last place nothing; a single place stands for all.
+
+    Attributes:
+        seconds: (H, V + 1, V + 1) time of each move; infinite where it is not possible.
+        length: (H, V + 1, V + 1) largest move of a joint, rad, or m where it slides; infinite likewise.
+        degrees: (H, V + 1, V + 1) largest move of a turning joint, deg.
+        detour: (H, V + 1, V + 1) True for moves that go over the home pose.
+    """
+
+    seconds: Floats
+    length: Floats
+    degrees: Floats
+    detour: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for key in ("seconds", "length", "degrees"):
+            object.__setattr__(self, key, frozen(getattr(self, key)))
+        object.__setattr__(self, "detour", frozen(self.detour, bool))
+
+    def move(self, hung: Ints, before: Ints, after: Ints) -> tuple[Ints | int, Ints, Ints]:
+        """Index of moves into the arrays: ``hung`` is a load, or `doe.lifts.NOTHING`."""
+        return (hung if len(self.seconds) > 1 else 0), before, after
+
+    def along(self, visits: Ints, hung: Ints) -> tuple[float, float, int]:
+        """Time (s), way (deg) and number of detours of a route.
+
+        Args:
+            visits: (V,) poses in the order of visiting.
+            hung: (V,) what hangs on the way to each of them.
+        """
+        move = self.move(hung, np.append(self.seconds.shape[1] - 1, visits[:-1]), visits)
+        return float(self.seconds[move].sum()), float(self.degrees[move].sum()), int(self.detour[move].sum())
+
+    def check(self, visits: Ints, hung: Ints, names: tuple[str, ...], source: str) -> None:
+        """Refuse a route with a move that is not possible.
+
+        Args:
+            visits: (V,) poses in the order of visiting.
+            hung: (V,) what hangs on the way to each of them.
+            names: (V,) names of the visits in that order.
+            source: What the message begins with.
+
+        Raises:
+            Infeasible: A move is blocked; the message names all of them.
+        """
+        move = self.move(hung, np.append(self.seconds.shape[1] - 1, visits[:-1]), visits)
+        steps = zip(pairwise(("home", *names)), np.isfinite(self.seconds[move]), strict=True)
+        blocked = [f"{first} to {second}" for (first, second), possible in steps if not possible]
+        if blocked:
+            raise Infeasible(
+                f"{source}: no order of the visits avoids moves that collide: {', '.join(blocked)}; state a home pose "
+                "from which all of them can be reached ([constraints] home_deg), or allow other poses"
+            )
+
+
+def travel_between(
+    q: Floats,
+    prismatic: np.ndarray,
+    *,
+    speed: float = np.inf,
+    speed_slide: float = np.inf,
+    home: Floats | None = None,
+    free: Free | None = None,
+    hung: np.ndarray | None = None,
+) -> Travel:
+    """Straight moves of the joints between poses: every joint at its speed, the slowest one counts.
+
+    Args:
+        q: (V, n) joint values, rad or m.
+        prismatic: (n,) True for sliding joints.
+        speed: Of turning joints, rad/s; infinite: they take no time.
+        speed_slide: Of sliding joints, m/s.
+        home: (n,) where the robot comes from, and where it goes around what blocks a move; None: from anywhere.
+        free: Which moves are free; None: all are.
+        hung: (loads,) True for loads that may hang on the way; None: nothing ever does.
+
+    Raises:
+        InputError: ``home`` has the wrong length.
+    """
+    if home is not None and np.shape(home) != (q.shape[1],):
+        raise InputError(f"home has shape {np.shape(home)}, needed: ({q.shape[1]},), one value a joint")
+    stops = q if home is None else np.vstack([q, home])
+    speeds = np.where(prismatic, speed_slide, speed)
+    parts = [_farthest(stops / speeds), _farthest(stops), _farthest(stops[:, ~prismatic] / DEG)]
+    layers = [_ways(parts, stops, None, free, over_home=home is not None)]
+    if free is not None and hung is not None:
+        bare = layers[0]
+        layers = [_ways(parts, stops, load, free, over_home=home is not None) if used else bare
+                  for load, used in enumerate(hung)] + [bare]  # fmt: skip
+    stacked = [np.stack(each) for each in zip(*layers, strict=True)]
+    if home is None:
+        stacked = [np.pad(each, ((0, 0), (0, 1), (0, 1))) for each in stacked]
+    return Travel(*stacked)
+
+
+def _farthest(stops: Floats) -> Floats:
+    """(S, S) largest difference of any joint between two stops (S, n)."""
+    largest = np.zeros((len(stops), len(stops)))
+    for joint in stops.T:
+        np.maximum(largest, np.abs(joint[:, None] - joint), out=largest)
+    return largest
+
+
+def _ways(
+    parts: list[Floats], stops: Floats, load: int | None, free: Free | None, *, over_home: bool
+) -> tuple[np.ndarray, ...]:
+    """Moves with one load: ``parts`` (S, S) of free ones, infinite where there is no way, and where home is on it."""
+    if free is None:
+        return (*parts, np.zeros(parts[0].shape, dtype=bool))
+    allowed = _allowed(stops, load, free)
+    straight = [np.where(allowed, part, np.inf) for part in parts]
+    if not over_home:
+        return (*straight, np.zeros_like(allowed))
+    over = [part[:, -1:] + part[-1:, :] for part in straight]
+    detour = ~allowed & np.isfinite(over[1])
+    return (*(np.where(detour, way, part) for part, way in zip(straight, over, strict=True)), detour)
+
+
+def _allowed(stops: Floats, load: int | None, free: Free) -> np.ndarray:
+    """(S, S) True where the straight move between two stops is free with a load; staying always is."""
+    first, second = np.triu_indices(len(stops), 1)
+    allowed = np.eye(len(stops), dtype=bool)
+    hung = None if load is None else np.full(len(first), load)
+    found = np.asarray(free(stops[first], stops[second], hung), dtype=bool)
+    allowed[first, second] = found | (stops[first] == stops[second]).all(axis=1)
+    return allowed | allowed.T
