@@ -75,9 +75,8 @@ def free_moves(study: Study, q_from: Floats, q_to: Floats, loads: Ints | None = 
 
 
 def stated_moves(study: Study) -> Free | None:
-    """What tells free moves of a study; None where it states neither home nor floor, walls or boxes to move around."""
-    cell = study.constraints
-    if cell.home is None and cell.floor is None and not (cell.walls or cell.boxes):
+    """What tells free moves of a study; None without a home pose, from which the arm goes around what is in the way."""
+    if study.constraints.home is None:
         return None
     return partial(free_moves, study)
 

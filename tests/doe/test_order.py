@@ -183,6 +183,10 @@ def test_home_has_one_value_a_joint():
 
 
 def test_the_solver_visits_one_place_of_each_group():
+    """It must also do so in a process with cvxpy, whose HiGHS library is not that of the solver."""
+    import cvxpy
+
+    assert cvxpy.installed_solvers()
     costs = np.array([[0, 9, 1, 9, 0], [9, 0, 9, 1, 0], [1, 9, 0, 9, 0], [9, 1, 9, 0, 0], [5, 1, 5, 5, 0.0]])
     assert short_route(costs, np.array([0, 0, 1, 1])).tolist() == [1, 3]
 

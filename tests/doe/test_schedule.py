@@ -270,7 +270,7 @@ BAD = {
     ),
     "losses and own visits": (
         {"plan": {"references": "auto", "robust_to_losses": 1}},
-        ["[plan] robust_to_losses = 1", "'auto'", "same_visit"],
+        ["[plan] robust_to_losses = 1", "auto", "same_visit"],
     ),
     "backwards": ({"times": {"pose_s": -1.0}}, ["[times] pose_s = -1"]),
     "standing still": ({"times": {"speed_deg_s": 0.0}}, ["[times] speed_deg_s = 0", "above 0"]),
