@@ -19,11 +19,12 @@ OUT := out/demo
 WRONG := configs/studies/kr270_diagnose.toml
 POSES := configs/studies/kr270_diagnose_poses.csv
 
-.PHONY: help demo test exam lint bench clean
+.PHONY: help demo test slow exam lint bench clean
 
 help:
 	@echo "make demo   the main job: plan, simulate, identify, predict, compensate, diagnose, report"
-	@echo "make test   all tests"
+	@echo "make test   the tests, a quarter of an hour at most"
+	@echo "make slow   the tests that make test leaves out: whole plans and campaigns of many seconds"
 	@echo "make exam   several hundred blind diagnoses; fresh seed, or EXAM='--seed 1 --cases 100'"
 	@echo "make lint   style, types, import contract"
 	@echo "make bench  the measured numbers of docs/benchmarks.md"
@@ -48,6 +49,9 @@ demo: $(STAMP)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -p no:cacheprovider
+
+slow: $(STAMP)
+	$(BIN)/python -m pytest -n 2 -p no:cacheprovider -m slow
 
 exam: $(STAMP)
 	$(BIN)/python -m tests.blind --cases 400 $(EXAM)

@@ -107,6 +107,7 @@ def test_the_bound_of_a_budget_is_that_of_the_exact_search(tmp_path):
     assert bound.bound == made.final.bound
 
 
+@pytest.mark.slow
 def test_a_plan_that_does_not_fit_with_its_travel_is_made_smaller(tmp_path):
     """Slow joints: what the experiments leave of the time does not pay for the way between them."""
     slow = {**TIMES, "speed_deg_s": 1.0}

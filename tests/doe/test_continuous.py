@@ -230,6 +230,7 @@ def test_effects_without_symbolic_columns_leave_the_grid_too(tmp_path):
     assert made.final.continuous > 0.9
 
 
+@pytest.mark.slow
 def test_plan_json_and_its_words_tell_what_is_proven_and_what_is_estimated(tmp_path):
     outcome = run_plan(study_file(tmp_path, KR270), seed=0, out=tmp_path / "out")
     content, words = outcome.content, "\n".join(outcome.lines)

@@ -203,6 +203,7 @@ def std_under_the_best_plan_for_the_parameters(made):
     return standard_deviations(np.einsum("n,nki,nkj->ij", counts, made.pool.blocks, made.pool.blocks))
 
 
+@pytest.mark.slow
 def test_without_a_guard_the_plan_sees_only_the_test_pose_and_says_so(tmp_path):
     made = plan(planar_geometry(tmp_path, max_std_percent=1e12))
     assert 12 * made.final.value < 3.3, "rank sigma^2 is 3"

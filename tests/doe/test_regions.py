@@ -66,6 +66,7 @@ def test_a_region_is_the_mean_over_a_dense_grid(tmp_path):
     assert again.bound.value == pytest.approx(dense, rel=0.03), "64 points by default"
 
 
+@pytest.mark.slow
 def test_a_plan_for_a_region_is_better_there_than_one_for_its_middle(tmp_path):
     region = {**BOX, "points": 32}
     middle = [{

@@ -173,6 +173,7 @@ def test_own_visits_let_drift_cancel_around_the_weights(tmp_path):
     assert made.schedule.left.shift < 0.2 * made.schedule.as_found.shift
 
 
+@pytest.mark.slow
 def test_own_visits_can_be_refined(tmp_path):
     """The symbolic blocks know the jitter of own visits too."""
     made = plan(kr270(tmp_path, model=ABSOLUTE, plan={"references": "own_visits", "refine": True, "poses": 6}))
@@ -180,6 +181,7 @@ def test_own_visits_can_be_refined(tmp_path):
     assert made.final.value < made.grid.value
 
 
+@pytest.mark.slow
 def test_auto_takes_the_better_way_within_the_time(tmp_path):
     noise = {"reading_mm": 1000.0, "pose_jitter_urad": 2e5}
     asked = {"poses": None, "time_budget_s": 3000.0, "candidates": 60, "refine": False, "reference_rows": True}
@@ -207,6 +209,7 @@ def test_own_visits_are_refused_where_masses_are_unknown(tmp_path):
 # --- one approach
 
 
+@pytest.mark.slow
 def test_every_joint_has_room_to_come_from_below(tmp_path):
     made_study = kr270(tmp_path, plan={"approach": "same", "approach_deg": 3.0, "refine": True, "poses": 6})
     told = run_plan(made_study.path, seed=0, out=tmp_path)
