@@ -13,7 +13,7 @@ from doe.accuracy import Accuracy, accuracy
 from doe.curve import accuracy_curve, fewest_shown, sizes
 from doe.design_choices import choice_lines, chosen_toml, decide
 from doe.earlier_files import NO_FILES, EarlierFiles, load_earlier
-from doe.evaluate import Evaluation, evaluate
+from doe.evaluate import evaluate
 from doe.information import covariance_of, standard_deviations
 from doe.joint_only import joint_only
 from doe.judgement import (
@@ -114,7 +114,7 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
         **counts(None if judged.pool is None else judged.pool.candidates),
         "visits_rejected": dict(judged.broken),
         "choices": None if decision is None else decision.as_json,
-        "curve": _curve_of_poses(study, judged, seed),
+        "curve": _curve(study, aim, sizes(judged.visits), seed, pool=judged.pool, own=judged.own),
         "confusability": confusability_json(study, experiment),
         "time_s": time_as_given(study, experiment),
         "notes": _notes(judged.broken),
@@ -182,42 +182,21 @@ def _measured(study: Study, made: Plan) -> dict[str, Any] | None:
 
 
 def _curve_of_plan(study: Study, made: Plan, seed: int) -> list[dict[str, Any]]:
-    """The curve around the size of a plan; empty without test poses or where the study does not want it."""
-    pool, count = made.pool, len(made.q)
-    aim = pool.objective
-    if aim.rows is None or not study.plan.curve:
-        return []
-    return curve_json(
-        accuracy_curve(
-            aim,
-            study.plan,
-            partial(accuracy, study, aim.rows),
-            sizes(2 * count, first=fewest_shown(pool), also=count),
-            seed,
-            pool=pool,
-            guard=made.guard,
-        ),
-        given=False,
-    )
+    """The curve around the size of a plan."""
+    count = len(made.q)
+    shown = sizes(2 * count, first=fewest_shown(made.pool), also=count)
+    return _curve(study, made.pool.objective, shown, seed, pool=made.pool, guard=made.guard)
 
 
-def _curve_of_poses(study: Study, judged: Evaluation, seed: int) -> list[dict[str, Any]]:
-    """The curve along the visits of a pose file; empty without test poses or where the study does not want it."""
-    aim = judged.objective
+def _curve(study: Study, aim: Objective, shown: list[int], seed: int, **of: Any) -> list[dict[str, Any]]:
+    """The curve at some sizes; empty without test poses or where the study does not want it.
+
+    ``of`` are the candidates, the guard of a plan or the visits of a pose file, as `accuracy_curve` takes them.
+    """
     if aim.rows is None or not study.plan.curve:
         return []
-    return curve_json(
-        accuracy_curve(
-            aim,
-            study.plan,
-            partial(accuracy, study, aim.rows),
-            sizes(judged.visits),
-            seed,
-            pool=judged.pool,
-            own=judged.own,
-        ),
-        given=True,
-    )
+    curve = accuracy_curve(aim, study.plan, partial(accuracy, study, aim.rows), shown, seed, **of)
+    return curve_json(curve, given="own" in of)
 
 
 def _accuracy(study: Study, aim: Objective, covariance: Floats) -> Accuracy | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from doe.candidates import rounded
 from doe.earlier import NOTHING, Earlier
-from doe.feasible import check, joint_range, screen
+from doe.feasible import joint_range, screen
 from doe.guard import guarded_search
 from doe.information import information_of, standard_deviations
 from doe.objective import Objective
@@ -105,12 +105,12 @@ def _polished(search: OffGrid, chosen: Ints, plan: Visits) -> tuple[Visits, Refi
     def at(q: Floats) -> Visits:
         return Visits(q, plan.loads, watching.blocks(q, plan.loads)[:, :, kept])
 
-    before = search.value(plan)
+    before, tests = search.value(plan), screen(watching.study)
     for share in (1.0, 0.5, 0.25):  # a limit of a standard deviation may end the way early
         q = rounded(watching.study, plan.q + share * (ended - plan.q))
         q = _together(lambda values: aim.value(information_of(at(values).blocks)), chosen, q)
         moved = at(q)
-        if search.value(moved) < before and check(watching.study, q, plan.loads).ok.all():
+        if search.value(moved) < before and tests.check(q, plan.loads).ok.all():
             return moved, Refinement(q, before, search.value(moved), steps, _DIFFERENCES)
     reason = "no better plan that keeps all limits was found near this one"
     return plan, Refinement(plan.q, before, before, steps, _DIFFERENCES, reason)

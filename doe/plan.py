@@ -114,10 +114,10 @@ def _planned(study: Study, *, seed: int, earlier: Earlier, home: Floats | None, 
     if study.plan.budgeted:
         bought = within_budget(pool, seed, scheduled)
         choice = bought.choice
+    elif study.plan.poses is None:
+        choice = sufficient(pool, seed, reach)
     else:
-        choice = (
-            sufficient(pool, seed, reach) if study.plan.poses is None else choose(pool, study.plan.poses, seed, reach)
-        )
+        choice = choose(pool, study.plan.poses, seed, reach)
     return _proven(pool, choice, scheduled(choice) if bought is None else bought.schedule, bought, reach)
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from identify.arrays import Floats, Ints, skew
+from identify.arrays import Floats, skew
 from identify.dual_quaternions.algebra import conjugate, normalise, product
 from identify.dual_quaternions.chain import DualChain, Postures, dual_chain, joint_frames, postures
 from identify.dual_quaternions.correction import pose_error
@@ -34,6 +34,7 @@ from identify.response import (
     nuisance_columns,
     target_turns,
 )
+from identify.six_d import position_rows
 from identify.units import SI_OF
 
 __all__ = ["deviation_residual", "dual_respond"]
@@ -86,7 +87,7 @@ def deviation_residual(response: Response, experiment: Experiment, read: Floats,
         (R, 3) m, or rad where a turn is read; positions without an orientation keep their plain difference.
     """
     turns = np.flatnonzero(experiment.turning)
-    places = _partners(experiment, turns)
+    places = position_rows(experiment)
     wanted = placed(from_rotation(turned), read[places])
     model = placed(from_rotation(response.turned), response.position[places])
     twist = pose_error(wanted, model) @ TWIST_OF_DEVIATION.T
@@ -195,12 +196,3 @@ def _with_bending(
     turn = np.where((scene.on_base | scene.turning)[:, None], 0.0, twists[scene.experiment.row_shot, 3:])
     columns[:, :, markers] += skew(turn) @ direct[:, :, markers]
     return columns
-
-
-def _partners(experiment: Experiment, turns: Ints) -> Ints:
-    """Rows of the positions that belong to rows of turns."""
-    key = experiment.row_shot * len(experiment.markers.names) + experiment.row_marker
-    places = np.flatnonzero(~experiment.turning)
-    order = np.argsort(key[places])
-    found: Ints = places[order[np.searchsorted(key[places][order], key[turns])]]
-    return found

@@ -18,7 +18,7 @@ from identify.model import Model
 from identify.rotations import quaternions
 from identify.study import Study
 
-__all__ = ["as_read", "facing", "positions_only", "with_turns", "with_turns_read"]
+__all__ = ["as_read", "facing", "position_rows", "positions_only", "with_turns", "with_turns_read"]
 
 
 def positions_only(study: Study) -> Study:
@@ -35,10 +35,10 @@ def with_turns(experiment: Experiment) -> Experiment:
 def with_turns_read(data: Measurements) -> Measurements:
     """The readings with a row for each orientation; a fit of a model with 6-D targets takes these."""
     assert data.quaternions is not None
-    order, _ = _order(data.experiment)
+    order, turning = _order(data.experiment)
     return replace(
         data,
-        experiment=with_turns(data.experiment),
+        experiment=replace(data.experiment.with_rows(order), row_turns=turning),
         positions=data.positions[order],
         lines=data.lines[order],
         quaternions=data.quaternions[order],
@@ -67,15 +67,20 @@ def as_read(experiment: Experiment, positions: Floats, turned: Floats) -> tuple[
         The experiment without them, (R - K, 3) positions, and (R - K, 4) quaternions w, x, y, z, w >= 0; markers on
         the base have none and get that of no turn.
     """
-    turning = experiment.turning
-    kept = np.flatnonzero(~turning)
+    kept = np.flatnonzero(~experiment.turning)
     plain = replace(experiment.with_rows(kept), row_turns=None)
+    units = np.tile([1.0, 0.0, 0.0, 0.0], (len(experiment.row_shot), 1))
+    units[position_rows(experiment)] = quaternions(turned)
+    return plain, positions[kept], units[kept]
+
+
+def position_rows(experiment: Experiment) -> Ints:
+    """(K,) rows of the positions that were read together with the K turns."""
     key = experiment.row_shot * len(experiment.markers.names) + experiment.row_marker
-    order = np.argsort(key[kept])
-    place = order[np.searchsorted(key[kept][order], key[turning])]
-    units = np.tile([1.0, 0.0, 0.0, 0.0], (len(kept), 1))
-    units[place] = quaternions(turned)
-    return plain, positions[kept], units
+    places = np.flatnonzero(~experiment.turning)
+    order = np.argsort(key[places])
+    found: Ints = places[order[np.searchsorted(key[places][order], key[experiment.turning])]]
+    return found
 
 
 def facing(model: Model, data: Measurements, placement: Floats) -> tuple[Measurements, Floats]:
