@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from doe.storage import Stacked
 from identify.arrays import Floats, Ints
 from identify.errors import InputError
 
@@ -33,12 +34,12 @@ class Blocks:
         Raises:
             InputError: ``blocks`` is not a real (N, k, p) array with N, k, p >= 1, or holds NaN or infinity.
         """
-        array = blocks if isinstance(blocks, np.ndarray) else np.asarray(blocks)
+        array = blocks if isinstance(blocks, np.ndarray | Stacked) else np.asarray(blocks)
         if array.ndim != 3 or 0 in array.shape:
             raise InputError(f"blocks have shape {array.shape}, needed: (N, k, p) with N, k, p >= 1")
         if array.dtype.kind not in "fiu":
             raise InputError(f"blocks have dtype {array.dtype}, needed: real numbers, for example float64")
-        self.array: NDArray[Any] = array
+        self.array: NDArray[Any] | Stacked = array
         stored = np.finfo(array.dtype).eps if array.dtype.kind == "f" else 0.0
         self.eps = max(float(stored), float(np.finfo(np.float64).eps))
         self.peak = self._peak()

@@ -12,11 +12,12 @@ from doe.closing import RELAXED
 from doe.exact import proven_bound
 from doe.information import information_of
 from doe.objective import Objective
+from doe.storage import Stacked, stacked
 from identify.arrays import Floats, Ints
 from identify.errors import InputError, NoConvergence, NotIdentifiable
 from identify.study import Criterion
 
-__all__ = ["NODES", "Bound", "Efficiencies", "among", "bound_of", "efficiencies", "joined", "relaxed"]
+__all__ = ["NODES", "Bound", "Efficiencies", "among", "bound_of", "efficiencies", "relaxed"]
 
 NODES = 600  # of branch and bound for the proof of a plan: some seconds where a proof is in reach at all
 _SAME = 1e-9  # blocks that differ by less are those of one pose
@@ -84,7 +85,7 @@ def bound_of(
     if not count:
         return Bound(value, value)
     new, members = _placed(pool, own, repeats=repeats)
-    blocks, prices, amount = joined(pool, own[new]), None, float(count)
+    blocks, prices, amount = stacked(pool, own[new]), None, float(count)
     if costs is not None and budget is not None:
         prices, amount = np.concatenate([costs[0], costs[1][new]]), budget
     if not nodes or prices is not None or prior is not None or len(members) != count:
@@ -95,7 +96,13 @@ def bound_of(
 
 
 def relaxed(
-    aim: Objective, amount: float, blocks: Floats, *, repeats: bool, prior: Floats | None, costs: Floats | None = None
+    aim: Objective,
+    amount: float,
+    blocks: Floats | Stacked,
+    *,
+    repeats: bool,
+    prior: Floats | None,
+    costs: Floats | None = None,
 ) -> ApproximateDesign:
     """The best weights of (N, k, p) candidates.
 
@@ -181,7 +188,7 @@ def efficiencies(aim: Objective, pool: Floats, own: Floats, *, repeats: bool) ->
     """
     sample = pool[np.linspace(0, len(pool) - 1, min(_SAMPLE, len(pool))).astype(np.int64)]
     new, _ = _placed(sample, own, repeats=repeats)
-    blocks, cap = joined(sample, own[new]), None if repeats else 1.0 / len(own)
+    blocks, cap = stacked(sample, own[new]), None if repeats else 1.0 / len(own)
     information = information_of(own)
     names: tuple[Criterion, ...] = ("test_pose", "A", "D", "E", "G")
     found: dict[Criterion, float | None] = {}
@@ -192,7 +199,7 @@ def efficiencies(aim: Objective, pool: Floats, own: Floats, *, repeats: bool) ->
     return Efficiencies(found, len(sample))
 
 
-def _optimum(aim: Objective, name: Criterion, blocks: Floats, cap: float | None) -> float | None:
+def _optimum(aim: Objective, name: Criterion, blocks: Floats | Stacked, cap: float | None) -> float | None:
     """Proven lower bound of a criterion for one experiment; None where the blocks do not define it."""
     try:
         return approximate_design(blocks, aim.target(name), criterion=name, max_weight=cap, tol=_ROUGH).bound
@@ -200,14 +207,3 @@ def _optimum(aim: Objective, name: Criterion, blocks: Floats, cap: float | None)
         return None
     except NoConvergence as error:  # its bound is proven all the same, only not the tightest
         return error.best.bound if isinstance(error.best, ApproximateDesign) else None
-
-
-def joined(first: Floats, second: Floats) -> Floats:
-    """Blocks of both, the shorter ones filled up with rows of zeros."""
-    if not len(first) or not len(second):
-        return second if len(second) else first
-    rows = max(first.shape[1], second.shape[1])
-    blocks = np.zeros((len(first) + len(second), rows, first.shape[2]))
-    blocks[: len(first), : first.shape[1]] = first
-    blocks[len(first) :, : second.shape[1]] = second
-    return blocks

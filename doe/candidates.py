@@ -9,14 +9,16 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from types import MappingProxyType
 
 import numpy as np
 
 from doe.blame import REMEDIES, blame
+from doe.executor import HERE, Executor
 from doe.feasible import FEASIBLE, Screen, count_reasons, joint_range, screen
 from identify.arrays import Floats, Ints, frozen
 from identify.errors import Infeasible, InputError
@@ -29,6 +31,7 @@ _log = logging.getLogger("elastocal")
 
 _STEPS = 1e6  # steps a deg or mm: the six decimals of plan.csv
 _BATCH = 4096  # most poses of one batch, a power of two
+_GROUPED, _GROUPS = 16, 8  # batches of one piece of work, and pieces that are given away at a time
 _CELLS = 2**22  # most pose-load pairs of one batch
 _DRAWS = 64  # poses drawn for each one wanted before the search gives up
 _FEWEST = 1024  # wanted poses that the search is made for at least
@@ -74,7 +77,7 @@ class Candidates:
         return q
 
 
-def candidates(study: Study, *, seed: int, warn: bool = True) -> Candidates:
+def candidates(study: Study, *, seed: int, warn: bool = True, executor: Executor = HERE) -> Candidates:
     """Draw the candidates of a study: at most ``plan.candidates``, but all choices of loads of at least one pose.
 
     Poses come from one scrambled Sobol sequence, so the same seed gives the same candidates, and more candidates
@@ -84,6 +87,7 @@ def candidates(study: Study, *, seed: int, warn: bool = True) -> Candidates:
         study: The study.
         seed: Seed of the scrambling.
         warn: Say where fewer than wanted were found, and what is not checked.
+        executor: Who checks the drawn poses, in pieces.
 
     Raises:
         InputError: A joint has no limits or no range, or the loads do not allow what the plan asks for.
@@ -98,7 +102,7 @@ def candidates(study: Study, *, seed: int, warn: bool = True) -> Candidates:
             study.path, "; ".join(tests.gaps.always),
         )  # fmt: skip
     poses = max(study.plan.candidates // len(choices), 1)
-    found = _search(tests, choices, (lower, upper), poses, seed)
+    found = _search(tests, choices, (lower, upper), poses, seed, executor)
     if not len(found):
         culprit = blame(tests, _draws(study, (lower, upper), seed)(_BLAMED), choices)
         raise Infeasible(
@@ -193,26 +197,53 @@ def load_choices(study: Study) -> Ints:
     return np.array([[*front, *chosen] for chosen in combinations(named, plan.loads_per_pose)], dtype=np.int64)
 
 
-def _search(tests: Screen, choices: Ints, ends: tuple[Floats, Floats], poses: int, seed: int) -> Candidates:
+def _search(
+    tests: Screen, choices: Ints, ends: tuple[Floats, Floats], poses: int, seed: int, executor: Executor
+) -> Candidates:
     """Draw poses until there are enough candidates or the search has to stop."""
     study, draw = tests.study, _draws(tests.study, ends, seed)
-    largest = min(_BATCH, _power_of_two(max(_CELLS // choices.size, 1)))
-    batch = min(_power_of_two(poses), largest)
     parts: list[tuple[Floats, Ints, Ints]] = []
     rejected: Counter[str] = Counter()
     drawn, stood, room, enough = 0, 0, max(study.plan.candidates, 1), False
+    batches = _checked(tests, draw, _batches(poses, choices), executor)
     while not enough and drawn < _most(poses):
-        q = draw(batch)
-        codes = tests.codes(q)[:, choices].min(axis=2)
+        q, by_load = next(batches)
+        codes = by_load[:, choices].min(axis=2)
         taken, enough = _taken((codes == FEASIBLE).sum(axis=1), room, stood == 0)
         pose, choice = np.nonzero(codes[:taken] == FEASIBLE)
         used, place = np.unique(pose, return_inverse=True)
         parts.append((q[used], stood + place, choice))
         rejected.update(count_reasons(codes[:taken]))
         drawn, stood, room = drawn + taken, stood + len(used), room - len(choice)
-        batch = min(2 * batch, largest)
     kept_q, pose, choice = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     return Candidates(kept_q, pose, choices[choice], drawn * len(choices), rejected, tests.gaps.always)
+
+
+def _batches(poses: int, choices: Ints) -> Iterator[int]:
+    """Numbers of poses that are drawn at a time, without end."""
+    largest = min(_BATCH, _power_of_two(max(_CELLS // choices.size, 1)))
+    batch = min(_power_of_two(poses), largest)
+    while True:
+        yield batch
+        batch = min(2 * batch, largest)
+
+
+def _checked(
+    tests: Screen, draw: Callable[[int], Floats], sizes: Iterator[int], executor: Executor
+) -> Iterator[tuple[Floats, np.ndarray]]:
+    """Batches of poses and their codes (B, loads); the first few by themselves, later ones many at a time."""
+    for _ in range(_GROUPED):
+        q = draw(next(sizes))
+        yield q, tests.codes(q)
+    while True:
+        groups = [[draw(next(sizes)) for _ in range(_GROUPED)] for _ in range(_GROUPS)]
+        for group, codes in zip(groups, executor.map(partial(_codes, tests), groups), strict=True):
+            yield from zip(group, codes, strict=True)
+
+
+def _codes(tests: Screen, batches: list[Floats]) -> list[np.ndarray]:
+    """Codes (B, loads) of several batches."""
+    return [tests.codes(q) for q in batches]
 
 
 def _draws(study: Study, ends: tuple[Floats, Floats], seed: int) -> Callable[[int], Floats]:

@@ -55,7 +55,22 @@ class Common:
     force: Annotated[bool, Parameter(negative="")] = False
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Work:
+    """Where a plan is worked out; it does not depend on it.
+
+    Attributes:
+        workers: Processes of this machine; by default one a core. They are started where the work is worth it.
+        scheduler: Address of a Dask scheduler whose workers are used instead, such as tcp://127.0.0.1:8786.
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+
+
 _DEFAULT = Common()
+_HERE = Work()
 
 
 @app.command
@@ -67,6 +82,7 @@ def plan(
     result: Path | None = None,
     earlier: Path | None = None,
     unreachable: tuple[str, ...] = (),
+    work: Work = _HERE,
     common: Common = _DEFAULT,
 ) -> int:
     """Pick the poses and loads to measure, of one arm or of two that face one task.
@@ -78,10 +94,12 @@ def plan(
         result: identify.json or diagnose.json of a first fit, whose values are planned with.
         earlier: The plan that was being measured (CSV).
         unreachable: Poses of it that could not be measured, such as P003,P007; the plan keeps clear of them.
+        work: Where it is worked out.
         common: Options that every command has.
     """
     from doe.commands import run_plan
     from doe.earlier_files import EarlierFiles
+    from doe.executor import executor_of
     from doe.two_arm_commands import run_plan_for_both
     from identify.two_arm_config import holds_two_arms
 
@@ -89,32 +107,37 @@ def plan(
     before = EarlierFiles(measured, result, earlier, tuple(dict.fromkeys(names)))
 
     def run() -> Outcome:
-        if holds_two_arms(study):
-            return run_plan_for_both(study, seed=common.seed, before=before)
-        return run_plan(study, seed=common.seed, out=out, before=before)
+        with executor_of(work.workers, work.scheduler) as executor:
+            if holds_two_arms(study):
+                return run_plan_for_both(study, seed=common.seed, before=before)
+            return run_plan(study, seed=common.seed, out=out, before=before, executor=executor)
 
     return _finish(run, out, common)
 
 
 @app.command
-def evaluate(study: Path, plan: Path, *, out: Path, common: Common = _DEFAULT) -> int:
+def evaluate(study: Path, plan: Path, *, out: Path, work: Work = _HERE, common: Common = _DEFAULT) -> int:
     """Judge any set of poses and loads.
 
     Args:
         study: Study file (TOML).
         plan: Pose file (CSV): pose, load, q1_deg ... With two arms the folder that holds plan_<arm>.csv of each.
         out: Folder for evaluate.json.
+        work: Where it is worked out.
         common: Options that every command has.
     """
     from doe.commands import run_evaluate
+    from doe.executor import executor_of
     from doe.two_arm_commands import run_evaluate_both
     from identify.two_arm_config import holds_two_arms
 
-    return _finish(
-        lambda: (run_evaluate_both if holds_two_arms(study) else run_evaluate)(study, plan, seed=common.seed),
-        out,
-        common,
-    )
+    def run() -> Outcome:
+        with executor_of(work.workers, work.scheduler) as executor:
+            if holds_two_arms(study):
+                return run_evaluate_both(study, plan, seed=common.seed)
+            return run_evaluate(study, plan, seed=common.seed, executor=executor)
+
+    return _finish(run, out, common)
 
 
 @app.command

@@ -14,6 +14,7 @@ from doe.curve import accuracy_curve, fewest_shown, sizes
 from doe.design_choices import choice_lines, chosen_toml, decide
 from doe.earlier_files import NO_FILES, EarlierFiles, load_earlier
 from doe.evaluate import evaluate
+from doe.executor import HERE, Executor
 from doe.information import covariance_of, standard_deviations
 from doe.joint_only import joint_only
 from doe.judgement import (
@@ -45,7 +46,9 @@ __all__ = ["CHOSEN", "run_evaluate", "run_plan"]
 CHOSEN = "chosen.toml"  # the study with the choices made
 
 
-def run_plan(study_file: Path, *, seed: int, out: Path, before: EarlierFiles = NO_FILES) -> Outcome:
+def run_plan(
+    study_file: Path, *, seed: int, out: Path, before: EarlierFiles = NO_FILES, executor: Executor = HERE
+) -> Outcome:
     """Pick poses and loads for a study file, beside what was measured before.
 
     Args:
@@ -53,9 +56,10 @@ def run_plan(study_file: Path, *, seed: int, out: Path, before: EarlierFiles = N
         seed: Seed of candidates and search.
         out: The folder that the results will stand in.
         before: What was measured, fitted or tried before.
+        executor: Who does independent pieces of work.
     """
     study, earlier, told = load_earlier(load_study(study_file), before)
-    made = plan(study, seed=seed, earlier=earlier)
+    made = plan(study, seed=seed, earlier=earlier, executor=executor)
     study = made.pool.observer.study  # station and markers are chosen
     reached = _accuracy(study, made.pool.objective, made.covariance)
     simple = joint_only(made, seed=seed)
@@ -93,11 +97,11 @@ def run_plan(study_file: Path, *, seed: int, out: Path, before: EarlierFiles = N
     return Outcome("plan", content, (*study.inputs, *before.paths), tables, lines)
 
 
-def run_evaluate(study_file: Path, plan_file: Path, *, seed: int) -> Outcome:
+def run_evaluate(study_file: Path, plan_file: Path, *, seed: int, executor: Executor = HERE) -> Outcome:
     """Judge a pose file."""
-    study, decision = decide(load_study(study_file), seed=seed)
+    study, decision = decide(load_study(study_file), seed=seed, executor=executor)
     experiment = plan_experiment(load_plan(plan_file, study), study)
-    judged = evaluate(study, experiment, seed=seed)
+    judged = evaluate(study, experiment, seed=seed, executor=executor)
     stated, study = study, judged.observer.study
     aim = judged.objective
     reached = _accuracy(study, aim, judged.covariance)

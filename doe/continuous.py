@@ -9,12 +9,14 @@ proof; it stands when starts that had no part in it find nothing any more.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from doe.ascent import Region, ascend
 from doe.blocks import Blocks
 from doe.column_generation import Found, best_weights
+from doe.executor import HERE, Executor
 from doe.problem import Problem, make_problem
 from identify.arrays import Floats, Ints, frozen
 from identify.threads import one_thread
@@ -30,6 +32,7 @@ STALLED = 5  # rounds that have to lower the value
 QUICK, THOROUGH = 12, 30  # steps of an ascent
 HOPEFUL = 0.8  # of the largest sensitivity: starts that reach this in a few steps go on
 CLOSED = 1e-4  # relative gap at which the last word is asked for
+TOGETHER = 75  # starts that climb together
 SAME, NEAR = 1e-3, 0.1  # of the scale: new columns in one such cell are one; columns that are one start
 
 
@@ -101,6 +104,7 @@ def continuous_columns(
     rng: np.random.Generator,
     *,
     tol: float = CLOSED,
+    executor: Executor = HERE,
 ) -> Columns:
     """Find the best relaxed design over all poses, starting from that of a grid.
 
@@ -111,12 +115,13 @@ def continuous_columns(
         criterion: test_pose, A, D, E or G.
         rng: Chooses starts.
         tol: Relative gap at which the search may end.
+        executor: Who climbs, some starts at a time.
 
     Raises:
         NotIdentifiable: The candidates cannot show what the criterion needs.
     """
     with one_thread():
-        search = _Search(region, grid, target, criterion, rng)
+        search = _Search(region, grid, target, criterion, rng, executor)
         return search.run(tol)
 
 
@@ -130,9 +135,16 @@ class _Search:
     """
 
     def __init__(
-        self, region: Region, grid: Sample, target: Floats | None, criterion: str, rng: np.random.Generator
+        self,
+        region: Region,
+        grid: Sample,
+        target: Floats | None,
+        criterion: str,
+        rng: np.random.Generator,
+        executor: Executor,
     ) -> None:
         self.region, self.grid, self.target, self.criterion, self.rng = region, grid, target, criterion, rng
+        self.executor = executor
         problem = make_problem(grid.blocks, target, criterion, None, None, None)
         found = best_weights(problem, 1e-4)
         self.order = np.argsort(-found.d, kind="stable")
@@ -182,11 +194,18 @@ class _Search:
 
     def _climbed(self, factor: Floats, starts: Sample, found: Found, *, thorough: bool) -> tuple[Floats, Floats]:
         """Where some steps of ascent lead, (m, d) and (m,); ``thorough``: those that may get far go on."""
-        x, d = ascend(self.region, factor, starts.x, starts.choice, steps=QUICK)
+        x, d = self._ascended(factor, starts.x, starts.choice, QUICK)
         if thorough:
             on = np.flatnonzero(d > HOPEFUL * found.d.max())
-            x[on], d[on] = ascend(self.region, factor, x[on], starts.choice[on], steps=THOROUGH)
+            x[on], d[on] = self._ascended(factor, x[on], starts.choice[on], THOROUGH)
         return x, d
+
+    def _ascended(self, factor: Floats, x: Floats, choice: Ints, steps: int) -> tuple[Floats, Floats]:
+        """`ascend`, some starts at a time."""
+        parts = [slice(start, start + TOGETHER) for start in range(0, len(x), TOGETHER)]
+        work = partial(_climb, self.region, factor, steps)
+        ended = list(self.executor.map(work, [(x[part], choice[part]) for part in parts]))
+        return np.concatenate([x[:0], *(each[0] for each in ended)]), np.concatenate([[], *(each[1] for each in ended)])
 
     def _enlarge(self, found: Found, x: Floats, choice: Ints, d: Floats) -> None:
         """Add what would improve the design, and drop what has no part in it."""
@@ -207,3 +226,8 @@ class _Search:
         scale = np.where(self.region.scale > 0.0, self.region.scale, 1.0)
         keys = np.column_stack([np.rint(x / (apart * scale)), choice])
         return np.sort(np.unique(keys, axis=0, return_index=True)[1])
+
+
+def _climb(region: Region, factor: Floats, steps: int, starts: tuple[Floats, Ints]) -> tuple[Floats, Floats]:
+    """`ascend` from some starts (points and choices)."""
+    return ascend(region, factor, *starts, steps=steps)

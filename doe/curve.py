@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doe.accuracy import Accuracy
-from doe.bounds import bound_of, joined
+from doe.bounds import relaxed
 from doe.guard import Guard, search
 from doe.information import covariance_of, information_of
 from doe.objective import Objective
 from doe.pool import AnyPool
+from doe.storage import stacked
 from identify.arrays import Floats, Ints
 from identify.errors import NotIdentifiable
 from identify.study import PlanSettings
@@ -125,14 +126,14 @@ def _bounds(
 ) -> list[float | None]:
     """Proven lower bound of the rms for each number of experiments, mm; None where nothing shows enough."""
     mean = replace(aim, criterion="test_pose")
-    blocks, none = joined(pool, own), own[:0]
+    blocks = stacked(pool, own)
 
     def bound(count: int) -> float | None:
         try:
-            proven = bound_of(mean, count, blocks, none, math.inf, repeats=settings.repeats, prior=prior).bound
+            best = relaxed(mean, count, blocks, repeats=settings.repeats, prior=prior).bound
         except NotIdentifiable:
             return None
-        return math.sqrt(proven)
+        return math.sqrt(best / count)
 
     if not settings.repeats or prior is not None:
         return [bound(count) if settings.repeats or count <= len(blocks) else None for count in counts]

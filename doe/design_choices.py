@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import numpy as np
 
 from doe.approximate import ApproximateDesign, approximate_design
 from doe.candidates import candidates
+from doe.executor import HERE, Executor
 from doe.objective import objective
 from doe.observations import identifiable, keep_columns, observer
 from identify.errors import Infeasible, NoConvergence, NotIdentifiable
@@ -104,12 +105,13 @@ def open_choices(study: Study) -> bool:
     return len(study.plan.stations) > 1 or bool(study.marker_choices)
 
 
-def decide(study: Study, *, seed: int) -> tuple[Study, Decision | None]:
+def decide(study: Study, *, seed: int, executor: Executor = HERE) -> tuple[Study, Decision | None]:
     """Choose station and markers.
 
     Args:
         study: The study.
         seed: Seed of the candidates.
+        executor: Who judges the options.
 
     Returns:
         The study with the chosen station and the mounted markers alone, and how it was chosen; the study itself and
@@ -121,16 +123,15 @@ def decide(study: Study, *, seed: int) -> tuple[Study, Decision | None]:
     """
     if not open_choices(study):
         return study, None
-    judge = _Judge(study, seed)
+    judge = _Judge(study, seed, executor)
     stations = study.plan.stations or (None,)
     count = study.plan.markers or 0
     sets = math.comb(len(study.marker_choices), count)
     complete = sets * len(stations) <= _TRIED
-    for station in stations:
-        if complete:
-            judge.all(station, combinations(study.marker_choices, count))
-        else:
-            judge.exchange(station, study.marker_choices, count)
+    if complete:
+        judge.all([(place, mounted) for place in stations for mounted in combinations(study.marker_choices, count)])
+    for station in () if complete else stations:
+        judge.exchange(station, study.marker_choices, count)
     tried = tuple(sorted(judge.judged.values(), key=lambda option: option.order))
     best = tried[0]
     if not np.isfinite(best.value):
@@ -184,45 +185,50 @@ def choice_lines(decision: Decision) -> tuple[str, ...]:
     )
 
 
+_Key = tuple[str | None, tuple[str, ...]]  # a station and the mounted markers
+
+
 class _Judge:
     """Judges options, each once."""
 
-    def __init__(self, study: Study, seed: int) -> None:
+    def __init__(self, study: Study, seed: int, executor: Executor) -> None:
         """Start with none."""
         small = min(_CANDIDATES, study.plan.candidates)
         self.study, self.seed = replace(study, plan=replace(study.plan, candidates=small)), seed
-        self.judged: dict[tuple[str | None, tuple[str, ...]], Option] = {}
-        self.errors: dict[tuple[str | None, tuple[str, ...]], Infeasible | NotIdentifiable] = {}
-
-    def all(self, station: str | None, sets: Iterable[tuple[str, ...]]) -> None:
-        """Every set of markers at one station."""
-        for markers in sets:
-            self.judge(station, markers)
+        self.executor = executor
+        self.judged: dict[_Key, Option] = {}
+        self.errors: dict[_Key, Infeasible | NotIdentifiable] = {}
 
     def exchange(self, station: str | None, names: tuple[str, ...], count: int) -> None:
         """From the first markers, exchange one at a time for the best other one, while this helps."""
-        best = self.judge(station, names[:count])
+        best = self.all([(station, names[:count])])[0]
         for _ in range(_ROUNDS):
             start = best
             for place in range(count):
                 others = [name for name in names if name not in best.markers]
                 swapped = [{*best.markers[:place], *best.markers[place + 1 :], name} for name in others]
-                options = [self.judge(station, tuple(name for name in names if name in own)) for own in swapped]
+                options = self.all([(station, tuple(name for name in names if name in own)) for own in swapped])
                 best = min([best, *options], key=lambda option: option.order)
             if best is start:
                 break
 
-    def judge(self, station: str | None, markers: tuple[str, ...]) -> Option:
-        """The relaxed design of one option."""
-        key = (station, markers)
-        if key not in self.judged:
-            try:
-                rank, value = _relaxed(_with(self.study, station, markers), self.seed)
-                self.judged[key] = Option(station, markers, rank, value)
-            except (Infeasible, NotIdentifiable) as error:
+    def all(self, keys: list[_Key]) -> list[Option]:
+        """The relaxed designs of some options."""
+        new = [key for key in dict.fromkeys(keys) if key not in self.judged]
+        found = self.executor.map(partial(_tried, self.seed), [_with(self.study, *key) for key in new])
+        for key, (rank, value, error) in zip(new, found, strict=True):
+            self.judged[key] = Option(*key, rank, value, None if error is None else str(error))
+            if error is not None:
                 self.errors[key] = error
-                self.judged[key] = Option(station, markers, 0, float("inf"), str(error))
-        return self.judged[key]
+        return [self.judged[key] for key in keys]
+
+
+def _tried(seed: int, study: Study) -> tuple[int, float, Infeasible | NotIdentifiable | None]:
+    """Rank and value of the relaxed design for one experiment, or why there is none."""
+    try:
+        return *_relaxed(study, seed), None
+    except (Infeasible, NotIdentifiable) as error:
+        return 0, float("inf"), error
 
 
 def _relaxed(study: Study, seed: int) -> tuple[int, float]:

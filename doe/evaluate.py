@@ -11,6 +11,7 @@ import numpy as np
 from doe.bounds import NODES, Bound, bound_of
 from doe.candidates import Candidates, candidates
 from doe.design_choices import open_choices
+from doe.executor import HERE, Executor
 from doe.feasible import FEASIBLE, count_reasons, screen
 from doe.information import covariance_of, information_of
 from doe.objective import Objective, objective
@@ -65,7 +66,7 @@ class Evaluation:
         return covariance_of(self.information)
 
 
-def evaluate(study: Study, experiment: Experiment, *, seed: int = 0) -> Evaluation:
+def evaluate(study: Study, experiment: Experiment, *, seed: int = 0, executor: Executor = HERE) -> Evaluation:
     """Judge a pose set by the criterion of the study.
 
     The bound is the best that any set of as many visits could reach with the study's candidates and the
@@ -75,6 +76,7 @@ def evaluate(study: Study, experiment: Experiment, *, seed: int = 0) -> Evaluati
         study: The study.
         experiment: The visits with their shots, any layout.
         seed: Seed of the candidates.
+        executor: Who checks the candidates and builds their blocks.
 
     Raises:
         NotIdentifiable: The criterion needs a direction that these poses cannot show.
@@ -91,10 +93,10 @@ def evaluate(study: Study, experiment: Experiment, *, seed: int = 0) -> Evaluati
     aim = objective(watching, known, study.plan.criterion)
     own = own[:, :, known.kept]
     information = information_of(own)
-    chosen, pool = _candidates(study, seed), None
+    chosen, pool = _candidates(study, seed, executor), None
     if chosen is not None:
-        blocks = keep_columns(watching.blocks(chosen.visit_q, chosen.visit_loads), known.kept)
-        pool = Pool(watching, chosen, known, blocks, aim)
+        blocks = keep_columns(watching.blocks(chosen.visit_q, chosen.visit_loads, executor), known.kept)
+        pool = Pool(watching, chosen, known, blocks, aim, executor=executor)
     among = own[:0] if pool is None else pool.blocks
     bound = bound_of(aim, len(own), among, own, aim.value(information), repeats=study.plan.repeats, nodes=NODES)
     return Evaluation(watching, experiment, known, aim, information, own, pool, bound, _broken(study, experiment))
@@ -109,10 +111,10 @@ def _broken(study: Study, experiment: Experiment) -> dict[str, int]:
     return {reason: count for reason, count in count_reasons(first).items() if count}
 
 
-def _candidates(study: Study, seed: int) -> Candidates | None:
+def _candidates(study: Study, seed: int, executor: Executor) -> Candidates | None:
     """The study's candidates; none if nothing keeps to its constraints."""
     try:
-        return candidates(study, seed=seed)
+        return candidates(study, seed=seed, executor=executor)
     except Infeasible as error:
         log.warning("compared with the given poses only: %s", error)
         return None

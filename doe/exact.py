@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import operator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from doe.attainable import most_experiments, most_rank, needed_rank, richest
 from doe.closing import close_gap
 from doe.column_generation import Found, best_weights
+from doe.executor import HERE, Executor
 from doe.local_search import Limits, Plan, Pool, exchange, fill, improve_from_all, iterate, make_pool
 from doe.problem import Problem, checked_costs, make_problem
 from identify.arrays import Ints, frozen
@@ -33,11 +35,13 @@ class Effort:
         rounds: Of the iterated local search.
         nodes: Of branch and bound.
         sweep: Whether to try every exchange with every candidate at the end.
+        restarts: Iterated local searches from the same plan, each with random moves of its own.
     """
 
     rounds: int
     nodes: int
     sweep: bool
+    restarts: int = 1
 
 
 EFFORTS = {"low": Effort(0, 0, False), "normal": Effort(60, 300, True), "high": Effort(300, 3000, True)}
@@ -77,6 +81,8 @@ def exact_design(
     prior: Any = None,
     effort: str = "normal",
     seed: int = 0,
+    restarts: int = 1,
+    executor: Executor = HERE,
 ) -> ExactDesign:
     """Best plan of n experiments for ``M = sum_i counts_i A_i'A_i + prior``.
 
@@ -91,6 +97,8 @@ def exact_design(
         prior: (p, p) information that is there already, in full.
         effort: low, normal or high: how many rounds of search and nodes of branch and bound.
         seed: Of the random moves; same seed, same plan.
+        restarts: Iterated local searches, of which the best counts; the first one is the only one of ``restarts=1``.
+        executor: Who does the restarts.
 
     Returns:
         The plan with its value and a proven bound.
@@ -102,6 +110,9 @@ def exact_design(
     """
     if effort not in EFFORTS:
         raise InputError(f"effort is {effort!r}, allowed: {', '.join(EFFORTS)}")
+    if isinstance(restarts, bool) or not isinstance(restarts, (int, np.integer)) or restarts < 1:
+        raise InputError(f"restarts is {restarts!r}, needed: a whole number of at least 1")
+    asked = replace(EFFORTS[effort], restarts=int(restarts))
     with one_thread():
         problem = make_problem(blocks, target, criterion, None, prior, None)
         limits = _checked_limits(n, repeats, costs, budget, len(problem.blocks))
@@ -109,7 +120,7 @@ def exact_design(
             _value(problem, target, criterion, prior, richest(problem, limits))  # says what is missing
         problem = kept_regular(problem, limits)
         problem, found = _relaxed(problem, limits)
-        counts, bound, source = _search(problem, found, limits, EFFORTS[effort], np.random.default_rng(seed))
+        counts, bound, source = _search(problem, found, limits, asked, np.random.default_rng(seed), executor)
         value = _value(problem, target, criterion, prior, counts)
     bound = min(bound, value)
     return ExactDesign(frozen(counts, np.int64), value, bound, bound / value, source)
@@ -233,7 +244,7 @@ def _with_shares(problem: Problem, limits: Limits, mix: float) -> Problem:
 
 
 def _search(
-    problem: Problem, found: Found, limits: Limits, effort: Effort, rng: np.random.Generator
+    problem: Problem, found: Found, limits: Limits, effort: Effort, rng: np.random.Generator, executor: Executor
 ) -> tuple[Ints, float, str]:
     """Counts (N,), lower bound and its source."""
     weights = found.u / problem.costs
@@ -241,7 +252,7 @@ def _search(
     rounded = np.flatnonzero(weights >= 1.0 - 1e-6)
     members = np.repeat(rounded, np.floor(weights[rounded] + 1e-6).astype(np.int64))
     plan = exchange(wide, fill(wide, wide.plan(wide.find(members))))
-    plan = _iterated(problem, found, wide, plan, effort, rng)
+    plan = _iterated(problem, found, wide, plan, effort, rng, executor)
     for _ in range(SWEEPS if effort.sweep else 0):
         wide, plan, better = improve_from_all(problem, wide, plan)
         if not better:
@@ -251,15 +262,25 @@ def _search(
     return np.bincount(chosen, minlength=len(problem.blocks)), bound, source
 
 
-def _iterated(problem: Problem, found: Found, wide: Pool, plan: Plan, effort: Effort, rng: np.random.Generator) -> Plan:
-    """Iterated local search on the most promising candidates, then an exchange with the wider pool."""
+def _iterated(
+    problem: Problem,
+    found: Found,
+    wide: Pool,
+    plan: Plan,
+    effort: Effort,
+    rng: np.random.Generator,
+    executor: Executor,
+) -> Plan:
+    """Iterated local searches on the most promising candidates, then an exchange with the wider pool."""
     if not effort.rounds or found.bound >= plan.value * (1.0 - 1e-6):
         return plan
     chosen = wide.index[list(plan.members)]
     index = np.union1d(_worth_scoring(problem, found, wide.limits, NARROW), chosen)
     narrow = make_pool(problem, wide.base, index, wide.limits)
     rounds = -(-effort.rounds * LONG // max(LONG, len(chosen)))  # long plans: dearer rounds, less to gain
-    best = iterate(narrow, narrow.plan(narrow.find(chosen)), rounds, rng)
+    start = narrow.plan(narrow.find(chosen))
+    moves = [rng, *rng.spawn(effort.restarts - 1)]
+    best = min(executor.map(partial(iterate, narrow, start, rounds), moves), key=lambda each: each.value)
     better = narrow.index[list(best.members)]
     return exchange(wide, wide.plan(wide.find(better)))
 

@@ -6,10 +6,15 @@ its numbers do not depend on it either: the same input gives the same bytes ever
 
 from __future__ import annotations
 
+import copyreg
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from functools import partial
+from itertools import repeat
 from socket import create_connection
+from time import perf_counter
+from types import MappingProxyType
 from typing import Any, Protocol, TypeVar, cast
 from urllib.parse import urlsplit
 
@@ -22,22 +27,36 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 _WAIT = 10  # s until a scheduler must have answered
+_START = 2.0  # s of work left that are worth starting processes for
+_SEND = 0.02  # s of work of one piece that are worth sending it to a process that runs
+
+
+def _read_only(content: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(content)
+
+
+# read-only views of dictionaries stand in frozen records, and pickle does not know them
+copyreg.pickle(MappingProxyType, lambda view: (_read_only, (dict(view),)))
 
 
 class Executor(Protocol):
     """Does the same work on many items."""
 
-    def map(self, work: Callable[[T], U], items: Sequence[T]) -> list[U]:
-        """``work`` of each item, in the order of the items; both must be picklable unless the work is done here."""
+    def map(self, work: Callable[[T], U], items: Sequence[T]) -> Iterator[U]:
+        """``work`` of each item, in the order of the items, as they are asked for.
+
+        ``work`` is a function of a module or a `functools.partial` of one; it and the items can be pickled.
+        """
         ...
 
 
 class _Here:
     """One after another, in this process."""
 
-    def map(self, work: Callable[[T], U], items: Sequence[T]) -> list[U]:
+    def map(self, work: Callable[[T], U], items: Sequence[T]) -> Iterator[U]:
         """See `Executor.map`."""
-        return [_alone(work, item) for item in items]
+        for item in items:
+            yield _alone(work, item)
 
 
 #: The executor that needs nothing.
@@ -45,17 +64,41 @@ HERE: Executor = _Here()
 
 
 class _Processes:
-    """Processes of this machine; they are started with the first work that has more than one piece."""
+    """Processes of this machine, for work that is worth it; short work is done here.
 
-    def __init__(self, pool: Any) -> None:
-        """Take over a pool that has not started yet."""
-        self._pool = pool
+    The first piece of each kind of work is done here, and shows how long one takes. Where a piece is done changes
+    nothing but the time.
 
-    def map(self, work: Callable[[T], U], items: Sequence[T]) -> list[U]:
+    Attributes:
+        seconds: Of one piece of each kind of work.
+    """
+
+    def __init__(self, start: Callable[[], Any]) -> None:
+        """Take what starts the processes."""
+        self._start = start
+        self._pool: Any = None
+        self.seconds: dict[str, float] = {}
+
+    def map(self, work: Callable[[T], U], items: Sequence[T]) -> Iterator[U]:
         """See `Executor.map`."""
-        if len(items) < 2:
-            return HERE.map(work, items)
-        return list(self._pool.map(_alone, [work] * len(items), items))
+        kind, left = _kind(work), list(items)
+        if kind not in self.seconds and left:
+            began = perf_counter()
+            first = _alone(work, left.pop(0))
+            self.seconds[kind] = perf_counter() - began
+            yield first
+        yield from self._sent(work, left) if self._worth(kind, len(left)) else HERE.map(work, left)
+
+    def _worth(self, kind: str, pieces: int) -> bool:
+        """True if pieces are to be sent away."""
+        piece = self.seconds.get(kind, 0.0)
+        return pieces > 1 and (piece > _SEND if self._pool is not None else piece * pieces > _START)
+
+    def _sent(self, work: Callable[[T], U], items: Sequence[T]) -> Iterator[U]:
+        """The pieces of the processes, which are started with the first ones."""
+        self._pool = self._pool or self._start()
+        results: Iterator[U] = self._pool.map(_alone, repeat(work, len(items)), items)
+        return results
 
 
 class _Cluster:
@@ -65,10 +108,17 @@ class _Cluster:
         """Take over a connected client."""
         self._client = client
 
-    def map(self, work: Callable[[T], U], items: Sequence[T]) -> list[U]:
+    def map(self, work: Callable[[T], U], items: Sequence[T]) -> Iterator[U]:
         """See `Executor.map`."""
-        futures = self._client.map(_alone, [work] * len(items), list(items), pure=False)
-        return list(self._client.gather(futures))
+        for future in self._client.map(partial(_alone, work), list(items), pure=False):
+            yield future.result()
+            future.release()
+
+
+def _kind(work: Callable[..., Any]) -> str:
+    """A name for the same work on other items."""
+    inner = work.func if isinstance(work, partial) else work
+    return f"{inner.__module__}.{inner.__qualname__}"
 
 
 def _alone(work: Callable[[T], U], item: T) -> U:
@@ -105,8 +155,9 @@ def _processes(count: int) -> Iterator[Executor]:
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
-        yield _Processes(pool)
+    with ExitStack() as stack:
+        make = partial(ProcessPoolExecutor, count, mp_context=get_context("spawn"))
+        yield _Processes(lambda: stack.enter_context(make()))
 
 
 @contextmanager

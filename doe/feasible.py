@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -104,6 +105,10 @@ class Screen:
     study: Study
     gaps: Gaps
     tests: Mapping[str, Test]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process builds its own from the study."""
+        return screen, (self.study,)
 
     def codes(self, q: Floats) -> np.ndarray:
         """First reason against each load at each pose.

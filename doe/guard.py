@@ -110,6 +110,8 @@ def _found(
             prior=pool.prior,
             effort=effort,
             seed=seed,
+            restarts=asked.settings.restarts,
+            executor=pool.executor,
         )
 
     try:

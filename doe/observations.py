@@ -6,10 +6,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from doe.executor import HERE, Executor
+from doe.storage import gathered
 from doe.subject import Subject
 from identify.arrays import Floats, Ints
 from identify.effects import Parameter, Scene, build_scene
@@ -44,6 +46,10 @@ class Observer:
     model: Model
     reference: Literal["absolute", "differences"]
     own_visits: bool = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process builds the model anew: effects hold functions of their own."""
+        return _again, (self.study, self.reference, self.own_visits)
 
     @property
     def path(self) -> Path:
@@ -91,28 +97,27 @@ class Observer:
         """In words, why a parameter cannot be identified."""
         return why_not(self.model, dropped)
 
-    def blocks(self, q: Floats, visit_loads: Ints) -> Floats:
+    def blocks(self, q: Floats, visit_loads: Ints, executor: Executor = HERE) -> Floats:
         """Whitened observation blocks of visits.
 
         Args:
             q: (N, n) joint values, rad or m.
             visit_loads: (N, L) load of each shot of a visit.
+            executor: Who builds them, in pieces.
 
         Returns:
-            (N, k, p) rows per unit of each parameter of the observer's model.
+            (N, k, p) rows per unit of each parameter of the observer's model; many of them stand in a temporary file.
         """
-        total: Floats | None = None
-        for start in range(0, len(q), _CHUNK):
-            part = self._chunk(q[start : start + _CHUNK], visit_loads[start : start + _CHUNK])
-            if total is None:
-                total = np.empty((len(q), *part.shape[1:]))
-            total[start : start + len(part)] = part
-        if total is None:
+        if not len(q):
             raise InputError(f"{self.study.path}: no poses to observe")
-        return total
+        parts = [slice(start, start + _CHUNK) for start in range(0, len(q), _CHUNK)]
+        if len(parts) == 1:
+            return self._piece((q, visit_loads))
+        return gathered(executor.map(self._piece, [(q[part], visit_loads[part]) for part in parts]), len(q))
 
-    def _chunk(self, q: Floats, visit_loads: Ints) -> Floats:
-        return stacked_visits(self, full_experiment(q, visit_loads, self.study.loads, self.study.markers))
+    def _piece(self, visits: tuple[Floats, Ints]) -> Floats:
+        """Blocks of some visits: joint values and loads."""
+        return stacked_visits(self, full_experiment(*visits, self.study.loads, self.study.markers))
 
 
 def observer(study: Study, *, own_visits: bool = False) -> Observer:
@@ -141,6 +146,11 @@ def observer(study: Study, *, own_visits: bool = False) -> Observer:
             'of one visit, and visits of their own hold one reading each; write references = "same_visit"'
         )
     return Observer(study, model if reference == "absolute" else without_nuisance(model), reference, own_visits)
+
+
+def _again(study: Study, reference: Literal["absolute", "differences"], own_visits: bool) -> Observer:
+    """The observer of a study whose readings are compared with what is known already."""
+    return replace(observer(study, own_visits=own_visits), reference=reference)
 
 
 def stacked_visits(observer: Observer, experiment: Experiment, more: Callable[[Scene], Floats] | None = None) -> Floats:

@@ -14,6 +14,7 @@ from doe.choice import Choice, all_poses_count, choose
 from doe.design_choices import Decision, decide
 from doe.drift import yardstick
 from doe.earlier import NOTHING, Earlier
+from doe.executor import HERE, Executor
 from doe.guard import Guard
 from doe.information import covariance_of
 from doe.moves import stated_moves
@@ -75,7 +76,13 @@ class Plan:
 
 
 def plan(
-    study: Study, *, seed: int = 0, earlier: Earlier = NOTHING, home: Floats | None = None, free: Free | None = None
+    study: Study,
+    *,
+    seed: int = 0,
+    earlier: Earlier = NOTHING,
+    home: Floats | None = None,
+    free: Free | None = None,
+    executor: Executor = HERE,
 ) -> Plan:
     """Pick the poses and loads that minimise the criterion of the study.
 
@@ -92,19 +99,22 @@ def plan(
             of. With a tolerance none may be left to pick.
         home: (joints,) where the robot comes from and goes around obstacles; None: the home of the constraints.
         free: Which straight moves between poses are free; None: what the constraints say, see `doe.moves`.
+        executor: Who does independent pieces of work; the plan does not depend on it.
 
     Raises:
         NotIdentifiable: The criterion needs what no candidate shows, or n is too small.
         Infeasible: No candidate keeps to the constraints, or no plan meets the tolerance or fits into the budget.
     """
-    study, decision = decide(study, seed=seed)
-    made = partial(_planned, seed=seed, earlier=earlier, home=home, free=free)
+    study, decision = decide(study, seed=seed, executor=executor)
+    made = partial(_planned, seed=seed, earlier=earlier, home=home, free=free, executor=executor)
     return replace(_better(study, made) if study.plan.references == "auto" else made(study), decision=decision)
 
 
-def _planned(study: Study, *, seed: int, earlier: Earlier, home: Floats | None, free: Free | None) -> Plan:
+def _planned(
+    study: Study, *, seed: int, earlier: Earlier, home: Floats | None, free: Free | None, executor: Executor
+) -> Plan:
     """The plan of a study that leaves nothing open."""
-    pool = build_pool(study, seed, earlier)
+    pool = build_pool(study, seed, earlier, executor)
 
     def scheduled(choice: Choice) -> Schedule | None:
         return scheduled_choice(pool, choice, seed, home=home, free=free) if len(choice.q) else None

@@ -11,6 +11,7 @@ import numpy as np
 from doe.candidates import Candidates, candidates
 from doe.draws import drawn_values
 from doe.earlier import NOTHING, Earlier, without_refused
+from doe.executor import HERE, Executor
 from doe.information import information_of
 from doe.objective import Objective, objective
 from doe.observations import Observer, identifiable, keep_columns, observer, stacked_visits
@@ -21,6 +22,8 @@ from identify.identifiability import Identifiability
 from identify.study import Study
 
 __all__ = ["AnyPool", "Pool", "build_pool"]
+
+_COMPARED = 4096  # blocks at a time
 
 log = logging.getLogger("elastocal")
 
@@ -49,6 +52,10 @@ class AnyPool(Protocol):
         """(p, p) information that is there already, in full, or None."""
 
     @property
+    def executor(self) -> Executor:
+        """Who does independent pieces of work."""
+
+    @property
     def draws(self) -> tuple[AnyPool, ...]:
         """The same candidates at other nominal values; empty where the plan is made at the nominal ones."""
 
@@ -69,6 +76,7 @@ class Pool:
         prior: (p, p) information of what was measured, or None.
         earlier: What was there before.
         draws: The same candidates at draws of the nominal values; empty if the plan is for the nominal ones.
+        executor: Who does independent pieces of work.
     """
 
     observer: Observer
@@ -79,13 +87,14 @@ class Pool:
     prior: Floats | None = None
     earlier: Earlier = NOTHING
     draws: tuple[Pool, ...] = ()
+    executor: Executor = HERE
 
     def information(self, blocks: Floats) -> Floats:
         """(p, p) of blocks (n, k, p) and of what is there already."""
         return information_of(blocks, self.prior)
 
 
-def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING) -> Pool:
+def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING, executor: Executor = HERE) -> Pool:
     """Candidates, their blocks and the objective; what was measured adds its information.
 
     Frame and markers are the same for measured and new visits, so both tell about them.
@@ -96,14 +105,14 @@ def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING) -> Pool:
     """
     study = with_regions(study)
     drawn = drawn_values(study, seed) if study.plan.draws else ()
-    chosen = without_refused(study, candidates(study, seed=seed), earlier)
+    chosen = without_refused(study, candidates(study, seed=seed, executor=executor), earlier)
     watching = observer(study, own_visits=study.plan.references == "own_visits")
-    blocks = watching.blocks(chosen.visit_q, chosen.visit_loads)
+    blocks = watching.blocks(chosen.visit_q, chosen.visit_loads, executor)
     measured = _measured(watching, earlier)
     known = identifiable(blocks, measured)
-    own = _pool(watching, chosen, known, blocks, earlier, measured)
+    own = replace(_pool(watching, chosen, known, blocks, earlier, measured), executor=executor)
     draws = tuple(_at_values(own, replace(study, nominal=values)) for values in drawn)
-    same = all(np.allclose(draw.blocks, own.blocks, rtol=1e-9, atol=0.0) for draw in draws)
+    same = all(_equal(draw.blocks, own.blocks) for draw in draws)
     if same and draws:
         log.warning("%s: [plan] draws change nothing: these effects are linear in their values", study.path)
     return own if same else replace(own, draws=draws)
@@ -113,9 +122,15 @@ def _at_values(pool: Pool, study: Study) -> Pool:
     """The same candidates and parameters at other nominal values."""
     nominal = pool.observer
     watching = replace(observer(study, own_visits=nominal.own_visits), reference=nominal.reference)
-    blocks = watching.blocks(pool.candidates.visit_q, pool.candidates.visit_loads)
+    blocks = watching.blocks(pool.candidates.visit_q, pool.candidates.visit_loads, pool.executor)
     measured = _measured(watching, pool.earlier)
     return _pool(watching, pool.candidates, pool.known, blocks, pool.earlier, measured)
+
+
+def _equal(first: Floats, second: Floats) -> bool:
+    """True if blocks are the same but for rounding."""
+    parts = (slice(start, start + _COMPARED) for start in range(0, len(first), _COMPARED))
+    return all(np.allclose(first[part], second[part], rtol=1e-9, atol=0.0) for part in parts)
 
 
 def _measured(watching: Observer, earlier: Earlier) -> Floats | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -49,7 +50,8 @@ def reach_of(pool: Pool, seed: int) -> Reach:
     grid = Sample(pool.candidates.visit_q, which, pool.blocks)
     aim = pool.objective
     rng = np.random.default_rng(seed)
-    return Reach(region, choices, continuous_columns(region, grid, aim.target(), aim.criterion, rng, tol=_GAP))
+    columns = continuous_columns(region, grid, aim.target(), aim.criterion, rng, tol=_GAP, executor=pool.executor)
+    return Reach(region, choices, columns)
 
 
 def region_of(observer: Observer, kept: Ints, choices: Ints) -> Region:
@@ -65,17 +67,17 @@ def region_of(observer: Observer, kept: Ints, choices: Ints) -> Region:
     scale = np.where(study.robot.prismatic, (upper - lower) / 3.0, 1.0)
     scale[list(stops_of(study))] = 0.0
 
-    def blocks(q: Floats, choice: Ints) -> Floats:
-        return observer.blocks(q, choices[choice])[:, :, kept]
-
-    def excess(q: Floats, choice: Ints) -> Floats:
-        return _excess(tests, q, choices[choice])
-
-    return Region(blocks, excess, lower, upper, scale)
+    return Region(partial(_blocks, observer, kept, choices), partial(_excess, tests, choices), lower, upper, scale)
 
 
-def _excess(tests: Screen, q: Floats, visit_loads: Ints) -> Floats:
+def _blocks(observer: Observer, kept: Ints, choices: Ints, q: Floats, choice: Ints) -> Floats:
+    """Blocks (m, k, p) of visits with the loads ``choices[choice]``."""
+    return observer.blocks(q, choices[choice])[:, :, kept]
+
+
+def _excess(tests: Screen, choices: Ints, q: Floats, choice: Ints) -> Floats:
     """How far visits are inside of what they must keep clear of, m; infinite where all else forbids them, or 0."""
+    visit_loads = choices[choice]
     codes = np.take_along_axis(tests.codes(q), visit_loads, axis=1).min(axis=1, initial=FEASIBLE)
     excess = np.where(codes == FEASIBLE, 0.0, np.inf)
     for reason, gap in tests.gaps.by_reason.items():

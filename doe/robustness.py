@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.averaged import averaged_bound
-from doe.bounds import Bound, among, joined, relaxed
+from doe.bounds import Bound, among, relaxed
 from doe.losses import after_losses, lost_sets
 from doe.pool import Pool
 from doe.problem import Problem, make_problem
 from doe.robust import worst_case
+from doe.storage import Stacked, stacked
 from identify.arrays import Floats, Ints
 
 __all__ = ["Robustness", "robustness", "value_that_counts"]
@@ -65,7 +66,7 @@ def _proven(pool: Pool, count: int, blocks: list[Floats]) -> float:
     """No plan of ``count`` visits has a smaller mean over the draws; ``blocks`` (n, k, p) of the plan at each draw."""
     repeats, draws = pool.observer.settings.repeats, _draws(pool)
     extra = ~among(draws[0].blocks, blocks[0], repeats=repeats)
-    every = [joined(draw.blocks, mine[extra]) for draw, mine in zip(draws, blocks, strict=True)]
+    every = [stacked(draw.blocks, mine[extra]) for draw, mine in zip(draws, blocks, strict=True)]
     found = [
         relaxed(draw.objective, count, own, repeats=repeats, prior=draw.prior)
         for draw, own in zip(draws, every, strict=True)
@@ -77,7 +78,7 @@ def _proven(pool: Pool, count: int, blocks: list[Floats]) -> float:
     return bound / count
 
 
-def _problem(draw: Pool, blocks: Floats, count: int, *, repeats: bool) -> Problem:
+def _problem(draw: Pool, blocks: Floats | Stacked, count: int, *, repeats: bool) -> Problem:
     """The relaxed problem of one draw on the scale of one visit."""
     prior = None if draw.prior is None else draw.prior / count
     aim = draw.objective

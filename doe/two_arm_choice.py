@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from doe.bounds import joined
 from doe.guard import Guard, blind_spot, guarded_search
 from doe.information import information_of
 from doe.off_grid import off_grid
 from doe.refine import Others, Refinement
+from doe.storage import joined
 from doe.two_arm_pool import TwoArmPool, kept_of
 from identify.arrays import Floats, Ints
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.accuracy import Accuracy
-from doe.bounds import Bound, bound_of, joined
+from doe.bounds import Bound, bound_of
 from doe.candidates import Candidates
 from doe.drift import yardstick
 from doe.information import covariance_of, information_of
@@ -17,6 +17,7 @@ from doe.moves import stated_moves
 from doe.objective import Objective, objective
 from doe.observations import identifiable, keep_columns, stacked_visits
 from doe.schedule import Schedule, schedule
+from doe.storage import joined
 from doe.tolerance import fewest
 from doe.two_arm_choice import TwoArmChoice, choose_for_both
 from doe.two_arm_pool import TwoArmPool, build_two_arm_pool, drawn, kept_of

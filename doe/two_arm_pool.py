@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from doe.bounds import joined
 from doe.candidates import Candidates, candidates
 from doe.design_choices import open_choices
+from doe.executor import HERE, Executor
 from doe.information import information_of
 from doe.objective import Objective, objective
 from doe.observations import identifiable, keep_columns
+from doe.storage import joined
 from doe.two_arms import TwoArmObserver, two_arm_observer
 from identify.arrays import Floats, Ints
 from identify.errors import InputError
@@ -42,6 +43,11 @@ class TwoArmPool:
     @property
     def prior(self) -> None:
         """Nothing is known before."""
+
+    @property
+    def executor(self) -> Executor:
+        """This process: plans for two arms are small."""
+        return HERE
 
     @property
     def draws(self) -> tuple[()]:

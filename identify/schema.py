@@ -197,6 +197,7 @@ class PlanSection(TwoArmPlanSection):
     reference_rows: Switch = True
     stations: Annotated[list[Id], Field(min_length=1)] | None = None
     markers: Count | None = None
+    restarts: Annotated[int, Field(strict=True, ge=1, le=1000)] = 1
     robust_to_losses: Annotated[int, Field(strict=True, ge=0, le=2)] = 0
     draws: Annotated[int, Field(strict=True, ge=0, le=64)] = 0
     references: Literal["same_visit", "own_visits", "auto"] = "same_visit"

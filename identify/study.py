@@ -157,6 +157,7 @@ class PlanSettings:
         stations: Names of the tracker stations to choose from; empty where there is no choice.
         markers: How many of the markers to choose from are mounted; None where there is no choice.
         curve: Also tell the accuracy against the number of experiments.
+        restarts: Local searches of a plan on the candidates, of which the best counts.
         losses: Visits that may be lost: the plan is the best after losing any so many.
         draws: Draws of uncertain nominal values on which the plan is good on average; 0: at the nominal ones.
         references: The unloaded state is read in the visit of the loaded ones, or in visits of its own.
@@ -182,6 +183,7 @@ class PlanSettings:
     stations: tuple[str, ...] = ()
     markers: int | None = None
     curve: bool = True
+    restarts: int = 1
     losses: int = 0
     draws: int = 0
     references: References = "same_visit"

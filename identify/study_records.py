@@ -184,6 +184,7 @@ def plan_settings(table: PlanSection, loads: Sequence[LoadCase], possible: Seque
         stations=tuple([station.name for station in possible] if table.stations is None else table.stations),
         markers=table.markers,
         curve=table.curve,
+        restarts=table.restarts,
         losses=table.robust_to_losses,
         draws=table.draws,
         references=table.references,

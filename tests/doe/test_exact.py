@@ -246,3 +246,20 @@ def test_a_budget_that_buys_nothing_is_infeasible():
         exact_design(blocks, target, None, costs=np.full(5, 2.0), budget=1.0)
     with pytest.raises(Infeasible, match="at least 6"):
         exact_design(blocks, target, 3, costs=np.full(5, 2.0), budget=5.0)
+
+
+def test_the_best_of_all_restarts_counts():
+    blocks, target = reference_case(300, 6)
+    found = []
+
+    class Watched:
+        def map(self, work, items):
+            states = {str(rng.bit_generator.state) for rng in items}
+            found.extend(work(rng).value for rng in items)
+            assert len(states) == len(items) == len(found)
+            return iter([work(rng) for rng in items])
+
+    design = exact_design(blocks, target, 13, seed=1, restarts=3, executor=Watched())
+    assert design.value <= min(found) * (1 + 1e-6)
+    with pytest.raises(InputError, match="restarts is 0"):
+        exact_design(blocks, target, 13, restarts=0)
