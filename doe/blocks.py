@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from identify.errors import InputError
 
 __all__ = ["Blocks", "sensitivities"]
 
+T = TypeVar("T")
 CHUNK = 1 << 17  # numbers per chunk: 1 MB of float64 stays in a core's cache
 MANY = 1 << 24  # numbers that are worth a second thread
 
@@ -24,15 +25,14 @@ class Blocks:
 
     Attributes:
         array: (N, k, p) as given by the caller, any float dtype, possibly read-only or memory-mapped.
-        peak: (p,) largest absolute value in each column.
         eps: Rounding unit of the numbers as they were stored.
     """
 
     def __init__(self, blocks: Any) -> None:
-        """Check shape and values in one pass.
+        """Check shape and type; the numbers are looked at by `gram` and `peak`.
 
         Raises:
-            InputError: ``blocks`` is not a real (N, k, p) array with N, k, p >= 1, or holds NaN or infinity.
+            InputError: ``blocks`` is not a real (N, k, p) array with N, k, p >= 1.
         """
         array = blocks if isinstance(blocks, np.ndarray | Stacked) else np.asarray(blocks)
         if array.ndim != 3 or 0 in array.shape:
@@ -42,7 +42,6 @@ class Blocks:
         self.array: NDArray[Any] | Stacked = array
         stored = np.finfo(array.dtype).eps if array.dtype.kind == "f" else 0.0
         self.eps = max(float(stored), float(np.finfo(np.float64).eps))
-        self.peak = self._peak()
 
     def __len__(self) -> int:
         """Number of candidates N."""
@@ -58,12 +57,18 @@ class Blocks:
         """Number of parameters."""
         return int(self.array.shape[2])
 
-    def chunks(self, first: int = 0, end: int | None = None) -> Iterator[tuple[slice, Floats]]:
-        """Candidates from ``first`` to before ``end`` and their rows ((m k), p) in float64, some at a time."""
+    def chunks(
+        self, first: int = 0, end: int | None = None, index: Ints | None = None
+    ) -> Iterator[tuple[slice, Floats]]:
+        """Candidates from ``first`` to before ``end`` and their rows ((m k), p) in float64, some at a time.
+
+        With ``index`` the places are those in this list of candidates.
+        """
         step, end = max(1, CHUNK // (self.k * self.p)), len(self) if end is None else end
         for start in range(first, end, step):
             part = slice(start, min(start + step, end))
-            yield part, np.ascontiguousarray(self.array[part], dtype=np.float64).reshape(-1, self.p)
+            some = self.array[part] if index is None else self.array[index[part]]
+            yield part, np.ascontiguousarray(some, dtype=np.float64).reshape(-1, self.p)
 
     def take(self, index: Ints, basis: Floats) -> Floats:
         """Blocks of some candidates in new coordinates: ``A_i @ basis``, (m, k, q)."""
@@ -72,31 +77,38 @@ class Blocks:
         return product.reshape(len(index), self.k, basis.shape[1])
 
     def gram(self, basis: Floats) -> Floats:
-        """Sum over all candidates of ``(A_i basis)' (A_i basis)``, (q, q)."""
-        total = np.zeros((basis.shape[1], basis.shape[1]))
-        for _, rows in self.chunks():
-            turned = rows @ basis
-            total += turned.T @ turned
-        return total
+        """Sum over all candidates of ``(A_i basis)' (A_i basis)``, (q, q); one of (p,) scales the columns.
 
-    def sensitivities(self, factor: Floats) -> Floats:
-        """``d_i = |A_i factor|^2`` of all candidates, (N,), for ``factor`` (p, q)."""
-        result = np.empty(len(self))
+        Numbers that are not finite, or that overflow when squared, leave a diagonal that is not finite.
+        """
 
-        def fill(parts: tuple[int, int]) -> None:
-            for part, rows in self.chunks(*parts):
+        def total(first: int, end: int) -> Floats:
+            result = np.zeros(basis.shape[-1:] * 2)
+            for _, rows in self.chunks(first, end):
+                with np.errstate(over="ignore", invalid="ignore"):
+                    turned = rows * basis if basis.ndim == 1 else rows @ basis
+                    result += turned.T @ turned
+            return result
+
+        return sum(self._in_parts(total, len(self)), np.zeros(basis.shape[-1:] * 2))
+
+    def sensitivities(self, factor: Floats, index: Ints | None = None) -> Floats:
+        """``d_i = |A_i factor|^2`` of all candidates (N,), or of those in ``index`` (m,), for ``factor`` (p, q)."""
+        result = np.empty(len(self) if index is None else len(index))
+
+        def fill(first: int, end: int) -> None:
+            for part, rows in self.chunks(first, end, index):
                 result[part] = _squares(rows @ factor, self.k)
 
-        if self.array.size < MANY:
-            fill((0, len(self)))
-        else:  # numpy works outside the interpreter's lock; every number is the same whoever computes it
-            half = len(self) // 2
-            with ThreadPoolExecutor(2) as threads:
-                list(threads.map(fill, ((0, half), (half, len(self)))))
+        self._in_parts(fill, len(result))
         return result
 
-    def _peak(self) -> Floats:
-        """Largest absolute value of each column; NaN and infinity are refused."""
+    def peak(self) -> Floats:
+        """Largest absolute value of each column, (p,).
+
+        Raises:
+            InputError: A number is NaN or infinite; the first one is named.
+        """
         peak = np.zeros(self.p)
         for part, rows in self.chunks():
             # max and min hand NaN on, so no boolean copy of the chunk is needed
@@ -105,6 +117,16 @@ class Blocks:
                 self._refuse(part.start, rows)
             peak = np.maximum(peak, here)
         return peak
+
+    def _in_parts(self, work: Callable[[int, int], T], count: int) -> list[T]:
+        """``work(first, end)`` for all of ``count`` candidates, or for two halves of them at once where they are many.
+
+        The parts depend on the size alone, so every number is the same whoever computes it.
+        """
+        if count * self.k * self.p < MANY:
+            return [work(0, count)]
+        with ThreadPoolExecutor(2) as threads:  # numpy works outside the interpreter's lock
+            return list(threads.map(work, (0, count // 2), (count // 2, count)))
 
     def _refuse(self, start: int, rows: Floats) -> None:
         """Name the first entry that is not finite."""

@@ -1,7 +1,7 @@
 """Branch and bound for exact designs on the few candidates that a better plan could hold.
 
-Every node limits the counts to a box and solves the relaxation there; its certificate bounds all plans in
-the box. Candidates that no better plan can hold are left out first: a plan with candidate j has, by the
+Every node limits the counts to a box (`doe.boxes`) and solves the relaxation there; its certificate bounds all plans
+in the box. Candidates that no better plan can hold are left out first: a plan with candidate j has, by the
 certificate of the whole relaxation, at least a value that grows as d_j falls below the largest d
 (Harman and Rosa 2025 use the same idea for D).
 """
@@ -13,26 +13,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from doe.boxes import Box, Relaxed, relax
 from doe.column_generation import Found
-from doe.interior_point import Restricted, solve
 from doe.local_search import Plan, Pool, fits
-from doe.polytope import inner_point, largest_sum
+from doe.polytope import largest_sum
 from doe.problem import Problem
 from identify.arrays import Floats, Ints
 
 __all__ = ["branch_and_bound", "possible"]
 
 CLOSED = 1e-6  # relative gap at which a node needs no more work
+NEAR = 1e-4  # gap to which a node is solved that has to be split anyway
 
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """Plans with ``low <= counts <= high`` (m,), and the centre of their relaxation."""
+    """A box that may hold a better plan, and the candidate and count at which to split it."""
 
-    low: Ints
-    high: Ints
-    weights: Floats
-    bound: float
+    box: Box
+    fork: tuple[int, int]
 
 
 def possible(problem: Problem, found: Found, value: float) -> Ints:
@@ -72,12 +71,10 @@ class _Tree:
     def __init__(self, pool: Pool, shares: Floats, plan: Plan) -> None:
         self.pool, self.shares, self.plan = pool, shares, plan
         self.grams = np.einsum("kmi,kmj->mij", pool.rows, pool.rows, optimize=True)
-        self.blocks = np.ascontiguousarray(pool.rows.swapaxes(0, 1))
         self.open: list[tuple[float, int, Node]] = []
-        self.left = np.inf  # least bound of nodes that could neither be closed nor split
         self.made = 0
         most = np.floor((1.0 + 1e-9) / shares).astype(np.int64)
-        self._add(np.zeros(len(shares), np.int64), most if pool.limits.repeats else np.minimum(most, 1))
+        self._add(Box(np.zeros(len(shares), np.int64), most if pool.limits.repeats else np.minimum(most, 1)))
 
     def grow(self, nodes: int) -> None:
         """Split nodes until all are closed or ``nodes`` have been solved."""
@@ -85,59 +82,42 @@ class _Tree:
             bound, _, node = heapq.heappop(self.open)
             if bound >= self._goal():
                 continue
-            split = np.abs(node.weights - np.round(node.weights))
-            j = int(np.argmax(np.where(node.high > node.low, split, -1.0)))
-            if split[j] < 1e-5:
-                self.left = min(self.left, bound)
-                continue
-            down, up = node.high.copy(), node.low.copy()
-            down[j] = int(np.floor(node.weights[j]))
-            up[j] = down[j] + 1
-            self._add(node.low, down)
-            self._add(up, node.high)
+            for part in node.box.split(*node.fork):
+                self._add(part)
 
     def bound(self) -> float:
         """No plan on these candidates has a smaller value."""
-        return min(self._goal(), self.left, self.open[0][0] if self.open else np.inf)
+        return min(self._goal(), self.open[0][0] if self.open else np.inf)
 
     def _goal(self) -> float:
         """A node with this bound is closed."""
         return self.plan.value * (1.0 - CLOSED)
 
-    def _add(self, low: Ints, high: Ints) -> None:
+    def _add(self, box: Box) -> None:
         """Solve a node and keep it if it may hold a better plan."""
         self.made += 1
-        total = 1.0 - float(self.shares @ low)
-        if total < -1e-9:
+        relaxed = relax(self.pool, self.grams, self.shares, box, self._enough)
+        if relaxed is None:
             return
-        high = np.minimum(high, low + np.floor(max(total, 0.0) * (1.0 + 1e-9) / self.shares + 1e-9).astype(np.int64))
-        weights, bound = self._relaxed(low, high, total)
-        self._try(low, high, weights)
-        if bound < self._goal():
-            heapq.heappush(self.open, (bound, self.made, Node(low, high, weights, bound)))
-
-    def _relaxed(self, low: Ints, high: Ints, total: float) -> tuple[Floats, float]:
-        """Best fractional counts of a node and their bound."""
-        base = self.pool.base + np.tensordot(low.astype(np.float64), self.grams, axes=1)
-        free = np.flatnonzero(high > low)
-        upper = (high - low)[free] * self.shares[free]
-        if upper.sum() <= total + 1e-9:
-            whole = base + np.tensordot((high - low).astype(np.float64), self.grams, axes=1)
-            return high.astype(np.float64), self.pool.criterion.value(whole)
-        blocks = self.blocks[free] / np.sqrt(self.shares[free])[:, None, None]
-        problem = Restricted(self.pool.criterion, blocks, base, np.where(upper < total, upper, np.inf), total)
-        centre = solve(problem, inner_point(upper, total), None, self._enough)
-        weights = low.astype(np.float64)
-        weights[free] += centre.weights / self.shares[free]
-        return weights, centre.bound
+        self._try(relaxed)
+        if relaxed.bound >= self._goal() or not np.any(box.high > box.low):
+            return
+        rest = relaxed.tightened(self._goal())
+        fork = relaxed.fork(rest)
+        if fork is None:
+            self._add(rest)  # one plan at most is left
+        else:
+            heapq.heappush(self.open, (relaxed.bound, self.made, Node(rest, fork)))
 
     def _enough(self, value: float, bound: float) -> bool:
         """Stop solving a node: it is closed, or it certainly has to be split."""
         goal = self._goal()
-        return bound >= goal or bound >= value * (1.0 - 0.1 * CLOSED) or (value < goal and bound >= value * (1 - 1e-3))
+        near = value < goal and bound >= value * (1.0 - NEAR)
+        return near or bound >= goal or bound >= value * (1.0 - 0.1 * CLOSED)
 
-    def _try(self, low: Ints, high: Ints, weights: Floats) -> None:
-        """Round the weights of a node to a plan."""
+    def _try(self, relaxed: Relaxed) -> None:
+        """Round the counts of a node to a plan."""
+        weights, low, high = relaxed.counts, relaxed.box.low, relaxed.box.high
         counts = np.clip(np.floor(weights + 1e-6).astype(np.int64), low, high)
         members = [int(j) for j in np.repeat(np.arange(len(counts)), counts)]
         for j in np.argsort(counts - weights, kind="stable"):

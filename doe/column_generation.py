@@ -3,6 +3,9 @@
 The few free candidates get their best weights (`doe.interior_point`), all others stay at zero or at their
 cap. One pass over all candidates proves how far this is from the optimum of the whole problem and finds the
 candidates that would improve it; these become free, and those that got no weight, or all of it, do not.
+
+Very many candidates are first thinned out, then only the most promising few percent are searched until nothing is
+left to do there; a pass over all candidates says which are promising then, and proves the bound.
 """
 
 from __future__ import annotations
@@ -20,6 +23,9 @@ from identify.arrays import Floats, Ints
 __all__ = ["Found", "best_weights"]
 
 PASSES = 100  # over all candidates; ten are usual
+MANY = 1 << 22  # numbers in all blocks from which the search is confined to a part of the candidates
+SHARE = 31  # one in so many candidates makes the part; a prime, as candidates may come in turns
+ROUGH = 0.01  # gap on the first part, which says little about the whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +59,43 @@ def best_weights(problem: Problem, tol: float, passes: int = PASSES) -> Found:
     """
     if problem.room <= 1.0 + 1e-9:
         return _only_point(problem)
-    search = _Search(problem)
-    best = search.iterate(1, tol)
+    thin = np.arange(0, len(problem.costs), SHARE)
+    if problem.blocks.array.size < MANY or not _stands_for_all(problem.part(thin)):
+        return _Search(problem).run(tol, passes)
+    return _by_parts(problem, thin, tol, passes)
+
+
+def _stands_for_all(part: Problem) -> bool:
+    """Whether a part of the candidates leaves a choice and sees about all that the whole sees."""
+    count = len(part.costs)
+    seen = part.information(np.arange(count), np.full(count, part.costs.mean() / count)) + part.prior
+    return part.room > 2.0 and bool(np.linalg.eigvalsh(seen)[0] > 0.01)
+
+
+def _by_parts(problem: Problem, thin: Ints, tol: float, passes: int) -> Found:
+    """Search a part, pass over all, search the best of them, until the gap of the whole is at most ``tol``."""
+    part, search = thin, _Search(problem.part(thin))
+    found = search.run(max(ROUGH, tol), PASSES)
+    best = whole = _on_all(problem, part, found, 1)
     for number in range(2, passes + 1):
-        if best.gap <= tol or not search.enlarge(tol):
+        if best.gap <= tol or (number > 2 and found.gap > tol):  # not even the part can be solved better
             break
-        here = search.iterate(number, tol)
-        best = here if here.gap < best.gap else best
-    return search.clear(best, tol) if best.gap <= tol else best
+        used = np.union1d(part[search.u > 0.0], part[search.free])
+        chosen = np.union1d(used, np.argpartition(-whole.d, len(thin))[: len(thin)])
+        search.move(problem.part(chosen), part, chosen, whole)
+        found = search.run(0.5 * tol, PASSES)
+        part, whole = chosen, _on_all(problem, chosen, found, number)
+        best = whole if whole.gap < best.gap else best
+    return best
+
+
+def _on_all(problem: Problem, part: Ints, found: Found, passes: int) -> Found:
+    """What was found on a part, as weights and bound of the whole."""
+    u = np.zeros(len(problem.costs))
+    u[part] = found.u
+    d = problem.sensitivities(found.certificate.factor)
+    bound = min(problem.bound(found.certificate, d), found.certificate.value)
+    return Found(u, found.certificate, d, bound, passes)
 
 
 def _only_point(problem: Problem) -> Found:
@@ -103,7 +138,33 @@ class _Search:
         self.gap = 1.0
         self.aim = 0.1
 
-    def iterate(self, passes: int, tol: float) -> Found:
+    def run(self, tol: float, passes: int) -> Found:
+        """Free candidates until the gap is at most ``tol`` or nothing is left to do."""
+        best: Found | None = None
+        for number in range(1, passes + 1):
+            if self.centre is not None and not self.enlarge(tol):
+                break
+            here = self.iterate(number)
+            best = here if best is None or here.gap < best.gap else best
+            if best.gap <= tol:
+                return self.clear(best, tol)
+        return best or self.iterate(1)
+
+    def move(self, problem: Problem, old: Ints, new: Ints, whole: Found) -> None:
+        """Go on with other candidates, among them all that are free or carry weight.
+
+        Args:
+            problem: On the other candidates.
+            old: Numbers in the whole of the candidates so far, increasing.
+            new: The same of the other candidates.
+            whole: The weights so far, judged on all candidates.
+        """
+        u = np.zeros(len(whole.u))
+        u[old] = self.u
+        self.problem, self.u, self.free = problem, u[new], np.searchsorted(new, old[self.free])
+        self.d, self.gap = whole.d[new], whole.gap
+
+    def iterate(self, passes: int) -> Found:
         """Best weights on the free candidates, then one pass over all candidates."""
         self.base = self._fixed_information()
         certificate = self._solve_free()

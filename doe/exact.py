@@ -18,7 +18,7 @@ from doe.attainable import most_experiments, most_rank, needed_rank, richest
 from doe.closing import close_gap
 from doe.column_generation import Found, best_weights
 from doe.executor import HERE, Executor
-from doe.local_search import Limits, Plan, Pool, exchange, fill, improve_from_all, iterate, make_pool
+from doe.local_search import Limits, Plan, Pool, exchange, fill, fits, improve_from_all, iterate, make_pool
 from doe.problem import Problem, checked_costs, make_problem
 from identify.arrays import Ints, frozen
 from identify.errors import Infeasible, InputError, NotIdentifiable
@@ -44,7 +44,7 @@ class Effort:
     restarts: int = 1
 
 
-EFFORTS = {"low": Effort(0, 0, False), "normal": Effort(60, 300, True), "high": Effort(300, 3000, True)}
+EFFORTS = {"low": Effort(0, 0, False), "normal": Effort(60, 500, True), "high": Effort(300, 5000, True)}
 NARROW, BROAD = 250, 2500  # candidates in the pools of the iterated search and of the exchange
 LONG = 30  # experiments; longer plans get fewer rounds of search
 SWEEPS = 5  # over all candidates at the end; one or two are usual
@@ -251,7 +251,10 @@ def _search(
     wide = make_pool(problem, problem.prior, _worth_scoring(problem, found, limits, BROAD), limits)
     rounded = np.flatnonzero(weights >= 1.0 - 1e-6)
     members = np.repeat(rounded, np.floor(weights[rounded] + 1e-6).astype(np.int64))
-    plan = exchange(wide, fill(wide, wide.plan(wide.find(members))))
+    plan = fill(wide, wide.plan(wide.find(members)))
+    if not fits(wide, list(plan.members), complete=True):  # what was rounded leaves no money for the others
+        plan = fill(wide, wide.plan([]))
+    plan = exchange(wide, plan)
     plan = _iterated(problem, found, wide, plan, effort, rng, executor)
     for _ in range(SWEEPS if effort.sweep else 0):
         wide, plan, better = improve_from_all(problem, wide, plan)

@@ -5,7 +5,7 @@ With u_i = c_i w_i and blocks A_i / sqrt(c_i) the constraint sum c_i w_i = 1 bec
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,11 @@ class Problem:
     def room(self) -> float:
         """What the caps let the weights sum up to."""
         return float(np.sum(np.minimum(self.upper, 1.0)))
+
+    def part(self, index: Ints) -> Problem:
+        """The same problem on some candidates alone, in the same coordinates; their blocks are copied."""
+        blocks = Blocks(self.blocks.array[index])
+        return replace(self, blocks=blocks, costs=self.costs[index], upper=self.upper[index])
 
     def take(self, index: Ints) -> Floats:
         """Scaled blocks of some candidates, (m, k, rank)."""

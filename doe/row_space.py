@@ -19,6 +19,8 @@ from identify.errors import NotIdentifiable
 __all__ = ["RowSpace", "row_space"]
 
 CLEAR = 1e-4  # singular values above this fraction of the largest are certain from the first Gram matrix
+FEW = 1000  # candidates that show the sizes of the columns
+HUGE = 1e200  # a sum of squares above this may have lost numbers that overflowed, or hide some that vanished
 NOISE = 64  # a column below this many rounding units of the largest one is zero
 
 
@@ -78,18 +80,37 @@ def row_space(blocks: Blocks, prior: Floats) -> RowSpace:
         NotIdentifiable: All blocks are zero and there is no prior.
     """
     shift = _factor(prior) * np.sqrt(len(blocks))
-    peak = np.maximum(blocks.peak, np.abs(shift).max(axis=0, initial=0.0))
-    if not peak.any():
-        everything = tuple(range(blocks.p))
-        raise NotIdentifiable("all blocks are zero: no candidate sees any parameter", everything)
-    rough = _inverse(peak)
-    first = _gram(blocks, shift, np.diag(rough))
+    peak, first = _first_gram(blocks, shift)
     norms = np.sqrt(np.diag(first)) * peak
     norms = np.where(norms < NOISE * blocks.eps * norms.max(), 0.0, norms)
     kept = norms > 0.0
     shrink = (peak * _inverse(norms))[kept]  # scaling a column later costs no accuracy
     unit_gram = first[np.ix_(kept, kept)] * np.outer(shrink, shrink)
     return _split(blocks, shift, norms, unit_gram)
+
+
+def _first_gram(blocks: Blocks, shift: Floats) -> tuple[Floats, Floats]:
+    """Rough sizes (p,) of the columns, and the Gram matrix (p, p) of the rows with columns divided by them.
+
+    The sizes only keep squares from overflowing and vanishing. Those of a few candidates will do, unless the result
+    shows that they do not; then they are taken of all.
+
+    Raises:
+        InputError: The blocks hold NaN or infinity.
+        NotIdentifiable: All blocks are zero and there is no prior.
+    """
+    here = np.abs(shift).max(axis=0, initial=0.0)
+    some = np.asarray(blocks.array[:: max(1, len(blocks) // FEW)], dtype=np.float64)
+    peak = np.maximum(np.abs(some).max(axis=(0, 1)), here)
+    if np.isfinite(peak).all() and peak.all():
+        gram = _gram(blocks, shift, 1.0 / peak)
+        if np.all(np.diag(gram) < HUGE):
+            return peak, gram
+    peak = np.maximum(blocks.peak(), here)
+    if not peak.any():
+        everything = tuple(range(blocks.p))
+        raise NotIdentifiable("all blocks are zero: no candidate sees any parameter", everything)
+    return peak, _gram(blocks, shift, _inverse(peak))
 
 
 def _split(blocks: Blocks, shift: Floats, norms: Floats, unit_gram: Floats) -> RowSpace:
@@ -114,8 +135,8 @@ def _split(blocks: Blocks, shift: Floats, norms: Floats, unit_gram: Floats) -> R
 
 
 def _gram(blocks: Blocks, shift: Floats, basis: Floats) -> Floats:
-    """Gram matrix of all rows, those of the prior included, times ``basis``."""
-    turned = shift @ basis
+    """Gram matrix of all rows, those of the prior included, times ``basis`` (p, q) or with columns scaled by (p,)."""
+    turned = shift * basis if basis.ndim == 1 else shift @ basis
     result: Floats = blocks.gram(basis) + turned.T @ turned
     return result
 

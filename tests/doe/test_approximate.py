@@ -11,7 +11,8 @@ from plain_design import bound_of, information, value_of
 from reference_cases import reference_case
 from threadpoolctl import threadpool_info
 
-from doe import approximate_design
+from doe import approximate_design, column_generation
+from doe.blocks import Blocks
 from identify.errors import InputError, NoConvergence, NotIdentifiable
 
 CRITERIA = ("test_pose", "A", "D", "E", "G")
@@ -91,6 +92,44 @@ def test_anyone_can_check_weights_value_and_bound(criterion, case):
         assert design.dual.sum() == pytest.approx(1.0)
     else:
         assert design.dual is None
+
+
+@pytest.mark.parametrize("case", ["plain", "cap", "costs", "prior", "all"])
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_very_many_candidates_are_searched_in_parts(criterion, case, monkeypatch):
+    """The way taken above some million numbers, here with few: same optimum, and proven on all candidates."""
+    count = 3000
+    blocks, target = problem(7, count=count, criterion=criterion)
+    limits = options(7, count=count)[case]
+    plain = approximate_design(blocks, target, criterion=criterion, **limits)
+    monkeypatch.setattr(column_generation, "MANY", 1)
+    monkeypatch.setattr(Blocks, "sensitivities", counted := Counted(Blocks.sensitivities, count))
+    design = approximate_design(blocks, target, criterion=criterion, **limits)
+    assert design.value == pytest.approx(plain.value, rel=2e-6)
+    bound = bound_of(criterion, blocks, target, design.weights, design.dual, **limits)
+    assert design.value * (1 - 2e-6) <= bound <= plain.value * (1 + 1e-9)
+    assert design.iterations == counted.whole < 8
+
+
+class Counted:
+    """Stands for `Blocks.sensitivities` and counts the passes over all candidates."""
+
+    def __init__(self, original, count):
+        self.original, self.count, self.whole = original, count, 0
+
+    def __get__(self, blocks, kind):
+        self.whole += len(blocks) == self.count
+        return self.original.__get__(blocks)
+
+
+def test_a_part_that_misses_a_direction_does_not_stand_for_all(monkeypatch):
+    """One candidate alone sees the last parameter, and it is not among those that are looked at first."""
+    blocks, target = problem(8, count=1000)
+    blocks[:, :, 3] = 0.0
+    blocks[17, 0, 3] = 1.0
+    plain = approximate_design(blocks, target)
+    monkeypatch.setattr(column_generation, "MANY", 1)
+    assert approximate_design(blocks, target).value == pytest.approx(plain.value, rel=2e-6)
 
 
 @pytest.mark.parametrize(("p", "count"), [(6, 3000), (26, 1500)])

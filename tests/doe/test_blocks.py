@@ -133,6 +133,15 @@ def test_extreme_magnitudes_neither_overflow_nor_vanish():
         assert approximate_design(blocks * size, target * size).value == pytest.approx(plain, rel=3e-6)
 
 
+@pytest.mark.parametrize("usual", [0.0, 1e-3, 1.0])
+def test_one_number_that_dwarfs_what_a_few_candidates_show(usual):
+    """The sizes of the columns are first taken from a few candidates; this one is not among them."""
+    blocks = some(5000, 3, 5)
+    blocks[..., 2] *= usual
+    blocks[4321, 1, 2] = 1e160  # its square overflows, and all else is rounding beside it
+    assert rank(blocks) == 1
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_the_first_bad_number_is_named(bad):
     blocks = some(5000, 3, 5)

@@ -10,6 +10,7 @@ from plain_design import brute_force, information, plans, value_of
 from reference_cases import reference_case
 
 from doe import exact_design, local_search
+from doe.boxes import Box, relax
 from doe.branch import branch_and_bound
 from doe.local_search import Limits, make_pool
 from doe.problem import make_problem
@@ -87,6 +88,42 @@ def test_branch_and_bound_needs_no_good_plan_to_start_from(repeats):
     best = brute_force("test_pose", blocks, target, None, plans(9, 3, repeats))
     assert plan.value == pytest.approx(best, rel=1e-6)
     assert best * (1 - 2e-6) <= bound <= best
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.parametrize("seed", range(2))
+def test_a_tightened_box_keeps_every_better_plan(seed, criterion):
+    rng = np.random.default_rng(seed)
+    blocks, target = rng.normal(size=(9, 2, 3)), rng.normal(size=(2, 2, 3))
+    target = target if criterion == "G" else target[0]
+    problem = make_problem(blocks, target, criterion, None, None, None)
+    pool = make_pool(problem, 1e-9 * np.eye(3), np.arange(9), Limits(4, np.inf, np.ones(9), True))
+    grams = np.einsum("kmi,kmj->mij", pool.rows, pool.rows)
+    whole = Box(np.zeros(9, np.int64), np.full(9, 4))
+    relaxed = relax(pool, grams, np.full(9, 0.25), whole, lambda value, bound: bound > 0.999 * value)
+    values = np.array([pool.plan(plan).value for plan in plans(9, 4, True)])
+    counts = np.array([np.bincount(plan, minlength=9) for plan in plans(9, 4, True)])
+    assert relaxed.bound <= values.min()
+    for better in (1, 5, 25):
+        goal = np.sort(values)[better]
+        box = relaxed.tightened(goal)
+        inside = np.all((counts >= box.low) & (counts <= box.high), axis=1)
+        assert inside[values < goal].all()
+        assert not inside.all()
+
+
+def test_a_budget_that_pays_for_the_number_only_just_keeps_the_number():
+    """The fractional optimum takes two dear experiments whole, which would leave too little for the third."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        blocks, target = rng.normal(size=(9, 2, 1)), np.ones((1, 1))
+        costs = rng.choice([1.0, 2.0, 3.0], 9)
+        budget = 1.2 * np.sort(costs)[:3].sum()
+        design = exact_design(blocks, target, 3, repeats=False, costs=costs, budget=budget)
+        paid = [plan for plan in plans(9, 3, False) if costs[list(plan)].sum() <= budget * (1 + 1e-12)]
+        assert design.counts.sum() == 3
+        assert design.value == pytest.approx(brute_force("test_pose", blocks, target, None, paid), rel=2e-6)
+        assert design.efficiency > 1 - 1e-5
 
 
 def test_the_reference_arm_is_proven_within_half_a_percent():
