@@ -100,7 +100,7 @@ def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING) -> Pool:
     watching = observer(study, own_visits=study.plan.references == "own_visits")
     blocks = watching.blocks(chosen.visit_q, chosen.visit_loads)
     measured = _measured(watching, earlier)
-    known = identifiable(blocks, measured)
+    known = identifiable(blocks, measured, parameters=watching.parameters)
     own = _pool(watching, chosen, known, blocks, earlier, measured)
     draws = tuple(_at_values(own, replace(study, nominal=values)) for values in drawn)
     same = all(np.allclose(draw.blocks, own.blocks, rtol=1e-9, atol=0.0) for draw in draws)
