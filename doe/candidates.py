@@ -137,18 +137,21 @@ def rounded(study: Study, q: Floats) -> Floats:
 def sampled_range(study: Study) -> tuple[Floats, Floats]:
     """(n,) lower and (n,) upper ends of sampling, rad or m: limits less margin, at most one turn around their middle.
 
+    A continuous joint is sampled over one turn around zero.
+
     Raises:
         InputError: A joint has no limits, or the margin leaves it no range.
     """
     robot, (lower, upper) = study.robot, joint_range(study)
+    lower, upper = (np.where(robot.continuous, turn, end) for turn, end in ((-np.pi, lower), (np.pi, upper)))
     file = study.inputs[-1] if study.inputs else study.path
     unlimited = ~(np.isfinite(lower) & np.isfinite(upper))
     if unlimited.any():
         names = ", ".join(name for name, none in zip(robot.joints, unlimited, strict=True) if none)
         raise InputError(
-            f"{file}: joint {names} of {robot.name} has no limits, so no poses can be drawn. State a lower and an "
-            "upper limit of each in the robot file (lower_deg and upper_deg, or lower_mm and upper_mm where it slides; "
-            "<limit lower upper> in a URDF); -180 and 180 deg for a joint that turns freely"
+            f"{file}: no limits are stated of joint {names} of {robot.name}, so no poses can be drawn. State a lower "
+            "and an upper limit of each in the robot file (lower_deg and upper_deg, or lower_mm and upper_mm where it "
+            "slides; <limit lower upper> in a URDF), or give it the type continuous if it turns without end"
         )
     if not (lower < upper).all():
         names = ", ".join(name for name, none in zip(robot.joints, ~(lower < upper), strict=True) if none)

@@ -236,7 +236,7 @@ def _relaxed(study: Study, seed: int) -> tuple[int, float]:
     chosen, own_visits = candidates(study, seed=seed, warn=False), study.plan.references == "own_visits"
     watching = observer(study, own_visits=own_visits)
     blocks = watching.blocks(chosen.visit_q, chosen.visit_loads)
-    known = identifiable(blocks)
+    known = identifiable(blocks, parameters=watching.parameters)
     aim = objective(watching, known, study.plan.criterion)
     try:
         design = approximate_design(keep_columns(blocks, known.kept), aim.target(), criterion=aim.criterion, tol=1e-3)

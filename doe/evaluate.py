@@ -15,13 +15,13 @@ from doe.executor import HERE, Executor
 from doe.feasible import FEASIBLE, count_reasons, screen
 from doe.information import covariance_of, information_of
 from doe.objective import Objective, objective
-from doe.observations import Observer, keep_columns, observer, stacked_visits
+from doe.observations import Observer, identifiable, keep_columns, observer, stacked_visits
 from doe.pool import Pool
 from doe.regions import with_regions
 from identify.arrays import Floats
 from identify.errors import Infeasible, InputError
 from identify.experiment import Experiment
-from identify.identifiability import Identifiability, independent_columns, triangle
+from identify.identifiability import Identifiability
 from identify.study import Study
 
 __all__ = ["Evaluation", "evaluate"]
@@ -89,7 +89,7 @@ def evaluate(study: Study, experiment: Experiment, *, seed: int = 0, executor: E
     study = with_regions(study)
     watching = observer(study)
     own = stacked_visits(watching, experiment)
-    known = independent_columns(triangle([own.reshape(-1, own.shape[2])]))
+    known = identifiable(own, parameters=watching.parameters)
     aim = objective(watching, known, study.plan.criterion)
     own = own[:, :, known.kept]
     information = information_of(own)

@@ -108,7 +108,7 @@ class Gaps:
         tops = self.weights.tops(frames)
         gap = np.full(tops.shape[:2], np.inf)
         for box in self.boxes:
-            links = _segments_to_box(start, end, radii, box).min(axis=1, initial=np.inf)
+            links = _segments_to_box(start, end, radii, box, self.clearance).min(axis=1, initial=np.inf)
             arm = np.minimum(links, point_box_distance(box.local(points), box.half).min(axis=1, initial=np.inf))
             gap = np.minimum(gap, np.minimum(arm[:, None], self._hung_to_box(tops, box)))
         return gap - self.clearance
@@ -117,7 +117,7 @@ class Gaps:
         """(N, L) distance of ropes and bodies to a box, m."""
         hung = self.weights
         ends, centres = hung.below(tops, hung.hang), hung.centres(tops)
-        gap = _segments_to_box(tops, ends, np.zeros(len(hung.hang)), box)
+        gap = _segments_to_box(tops, ends, np.zeros(len(hung.hang)), box, self.clearance)
         for i in np.flatnonzero(hung.extended):
             axes, reach = box_gap_axes(box.rotation, box.half, hung.axes, hung.half[i])
             body = (np.abs((centres[:, i] - box.centre) @ axes.T) - reach).max(axis=1)
@@ -134,7 +134,7 @@ class Gaps:
         """(N, L) least distance of hung bodies and ropes to the links."""
         if not self.weights.extended.any():
             return _open(frames)
-        return self.weights.link_gaps(frames, self.capsules.segments(frames)) - self.clearance
+        return self.weights.link_gaps(frames, self.capsules.segments(frames), self.clearance) - self.clearance
 
 
 def gaps_of(study: Study) -> Gaps:
@@ -158,10 +158,10 @@ def _open(frames: Frames) -> Floats:
     return np.full((len(frames.origin), 1), np.inf)
 
 
-def _segments_to_box(start: Floats, end: Floats, radii: Floats, box: Box) -> Floats:
-    """(N, S) distance of capsules to a box, m; those that are far off by a lower bound."""
+def _segments_to_box(start: Floats, end: Floats, radii: Floats, box: Box, within: float) -> Floats:
+    """(N, S) distance of capsules to a box, m; of those further off than ``within`` a lower bound beyond it."""
     half_length = np.linalg.norm(end - start, axis=2) / 2
     gap = np.linalg.norm((start + end) / 2 - box.centre, axis=2) - half_length - np.linalg.norm(box.half)
-    near = gap < radii
+    near = gap < radii + within
     gap[near] = segment_box_distance(box.local(start[near]), box.local(end[near]), box.half)
     return np.asarray(gap - radii)

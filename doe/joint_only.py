@@ -54,7 +54,7 @@ def joint_only(made: Plan, *, seed: int = 0) -> JointOnly | None:
     simple = observer(bare, own_visits=pool.observer.own_visits)
     try:
         blocks = simple.blocks(pool.candidates.visit_q, pool.candidates.visit_loads)
-        known = identifiable(blocks)
+        known = identifiable(blocks, parameters=simple.parameters)
         aim = objective(simple, known, study.plan.criterion)
         found = exact_design(
             keep_columns(blocks, known.kept),

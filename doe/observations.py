@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -29,6 +29,11 @@ from identify.study import Noise, PlanSettings, Study, TestPose
 __all__ = ["Observer", "error_rows", "identifiable", "keep_columns", "observer", "stacked_visits", "target_rows"]
 
 _CHUNK = 4096  # poses at a time: the fields of one chunk stay in cache
+_WEAK = 2e-5  # share of the strongest column of the same unit: six digits of an angle, and no joint of a real arm
+_NEGLIGIBLE = (
+    1e-6,
+    1e-3,
+)  # share of the largest error at the test poses: of what is not seen, of what is seen too weakly
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +222,8 @@ def target_rows(observer: Subject, known: Identifiability) -> Floats:
     for dropped in known.dropped:
         through = rows[:, :, list(dropped.alike)] @ dropped.coefficients
         by_nuisance = any(nuisance[other] for other in dropped.alike)
-        if not by_nuisance and np.abs(rows[:, :, dropped.column] - through).max(initial=0.0) > 1e-6 * scale:
+        least = _NEGLIGIBLE[int(np.isfinite(dropped.std))] * scale
+        if not by_nuisance and np.abs(rows[:, :, dropped.column] - through).max(initial=0.0) > least:
             name = observer.names[dropped.column]
             raise NotIdentifiable(
                 f"{observer.path}: the test poses depend on {name}, which no candidate shows: {observer.why(dropped)}. "
@@ -260,9 +266,24 @@ def _self_weight_columns(model: Model, experiment: Experiment) -> Floats:
     return columns
 
 
-def identifiable(*blocks: Floats | None) -> Identifiability:
-    """Kept parameters of one or several sets of blocks (N, k, p) together."""
-    return independent_columns(triangle([part.reshape(-1, part.shape[2]) for part in blocks if part is not None]))
+def identifiable(*blocks: Floats | None, parameters: Sequence[Parameter] = ()) -> Identifiability:
+    """Kept parameters of one or several sets of blocks (N, k, p) together.
+
+    A robot file that writes 3.14159 turns an upright joint 1e-6 rad off the vertical: its column is no noise and of no
+    use, and a criterion that counts it looks at nothing else. Such columns are dropped.
+
+    Args:
+        blocks: One or several (N, k, p); None is none.
+        parameters: (p,) whose columns are compared with those of the same unit; none: none is too weak.
+    """
+    upper = triangle([part.reshape(-1, part.shape[2]) for part in blocks if part is not None])
+    norms = np.linalg.norm(upper, axis=0)
+    units = np.array([parameter.unit for parameter in parameters])
+    weak = [k for k, unit in enumerate(units) if 0.0 < norms[k] < _WEAK * norms[units == unit].max()]
+    upper[:, weak] = 0.0
+    found = independent_columns(upper)
+    stds = {k: 1.0 / norms[k] for k in weak}
+    return replace(found, dropped=tuple(replace(d, std=stds.get(d.column, d.std)) for d in found.dropped))
 
 
 def keep_columns(blocks: Floats, kept: Ints) -> Floats:

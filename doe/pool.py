@@ -109,7 +109,7 @@ def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING, executor: Ex
     watching = observer(study, own_visits=study.plan.references == "own_visits")
     blocks = watching.blocks(chosen.visit_q, chosen.visit_loads, executor)
     measured = _measured(watching, earlier)
-    known = identifiable(blocks, measured)
+    known = identifiable(blocks, measured, parameters=watching.parameters)
     own = replace(_pool(watching, chosen, known, blocks, earlier, measured), executor=executor)
     draws = tuple(_at_values(own, replace(study, nominal=values)) for values in drawn)
     same = all(_equal(draw.blocks, own.blocks) for draw in draws)

@@ -150,7 +150,7 @@ def evaluate_both(study: TwoArmStudy, experiments: Sequence[Experiment], *, seed
         for side, experiment in enumerate(experiments)
     ]
     own = joined(*parts)
-    known = identifiable(own)
+    known = identifiable(own, parameters=watching.parameters)
     aim = objective(watching, known, study.plan.criterion)
     own = own[:, :, known.kept]
     information = information_of(own)

@@ -82,7 +82,7 @@ def build_two_arm_pool(study: TwoArmStudy, seed: int) -> TwoArmPool:
     watching = two_arm_observer(study)
     first, second = (drawn(study, side, seed) for side in (0, 1))
     blocks = joined(*(watching.blocks(side, c.visit_q, c.visit_loads) for side, c in enumerate((first, second))))
-    known = identifiable(blocks)
+    known = identifiable(blocks, parameters=watching.parameters)
     aim = objective(watching, known, study.plan.criterion)
     return TwoArmPool(watching, (first, second), known, keep_columns(blocks, known.kept), aim)
 

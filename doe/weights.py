@@ -62,26 +62,28 @@ class Weights:
         """(N, L, 3) centres of the bodies, base frame, m."""
         return self.below(tops, self.hang + self.half[:, 2])
 
-    def link_gaps(self, frames: Frames, segments: tuple[Floats, Floats]) -> Floats:
+    def link_gaps(self, frames: Frames, segments: tuple[Floats, Floats], within: float) -> Floats:
         """(N, L) least distance of body and rope to the links, m; below zero where they overlap, infinite if unchecked.
 
-        Bodies that are far off count by a lower bound of their distance.
+        Bodies that are further off than ``within`` count by a lower bound beyond it.
         """
         gaps = np.full((len(frames.origin), len(self.attach)), np.inf)
         tops = self.tops(frames)
         centres, ends = self.centres(tops), self.below(tops, self.hang)
         for i in np.flatnonzero(self.extended).tolist():
-            pairs = self._pair_gaps(i, segments, centres[:, i], tops[:, i], ends[:, i])
+            pairs = self._pair_gaps(i, segments, centres[:, i], tops[:, i], ends[:, i], within)
             gaps[:, i] = np.where(np.vstack([self.boxed[i], self.roped[i]]), pairs, np.inf).min(axis=(1, 2))
         return gaps
 
-    def _pair_gaps(self, i: int, segments: tuple[Floats, Floats], centre: Floats, top: Floats, end: Floats) -> Floats:
+    def _pair_gaps(
+        self, i: int, segments: tuple[Floats, Floats], centre: Floats, top: Floats, end: Floats, within: float = 0.0
+    ) -> Floats:
         """(N, 2, S) distance of the body and of the rope of load i to each capsule, m."""
         (start, stop), radii = segments, self.capsules.radii
         middle, half_length = (start + stop) / 2, np.linalg.norm(stop - start, axis=2) / 2
         size = np.linalg.norm(self.half[i])
         body = np.linalg.norm(middle - centre[:, None], axis=2) - half_length - size - radii
-        pose, near = np.nonzero((body < 0.0) & self.boxed[i])
+        pose, near = np.nonzero((body < within) & self.boxed[i])
         p, q = ((points[pose, near] - centre[pose]) @ self.axes for points in (start, stop))
         body[pose, near] = segment_box_distance(p, q, self.half[i]) - radii[near]
         rope = segment_distance(top[:, None], end[:, None], start, stop) - radii

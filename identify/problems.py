@@ -176,7 +176,7 @@ def _explain(kind: str, context: Mapping[str, Any], message: str) -> str:
     bounds = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
     for key, word in bounds.items():
         if key in context:
-            return f"must be {word} {context[key]:g}"
+            return f"must be {word} {context[key]:.10g}"
     if kind in {"too_short", "too_long"}:
         count = context.get("min_length", context.get("max_length"))
         wanted = "at least one entry" if count == 1 else f"{count} numbers"

@@ -107,6 +107,7 @@ class Robot:
         source: Where the numbers come from.
         controller: How the controller counts its joints, or None if the file does not say.
         shapes: Collision shapes, where the file states them.
+        continuous: (n,) True where the file says that a joint turns without end; its limits are infinite.
     """
 
     name: str
@@ -129,19 +130,22 @@ class Robot:
     source: str = ""
     controller: ControllerMap | None = None
     shapes: tuple[Shape, ...] = ()
+    continuous: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def __post_init__(self) -> None:
         """Check shapes and make the arrays read-only."""
         n = len(self.joints)
         if not len(self.link_rotations):
             object.__setattr__(self, "link_rotations", np.broadcast_to(np.eye(3), (n + 1, 3, 3)))
+        if not len(self.continuous):
+            object.__setattr__(self, "continuous", np.zeros(n, dtype=bool))
         shapes = {
             "prismatic": (n,), "placements": (n + 1, 4, 4), "lower": (n,), "upper": (n,),
             "masses": (n,), "centres": (n, 3), "efforts": (n,), "link_rotations": (n + 1, 3, 3), "world_R_base": (3, 3),
-            "down": (3,), "tool_centre": (3,),
+            "down": (3,), "tool_centre": (3,), "continuous": (n,),
         }  # fmt: skip
         for key, shape in shapes.items():
-            array = frozen(getattr(self, key), bool if key == "prismatic" else np.float64)
+            array = frozen(getattr(self, key), bool if key in ("prismatic", "continuous") else np.float64)
             if array.shape != shape:
                 raise InputError(f"robot {self.name}: {key} has shape {array.shape}, expected {shape}")
             object.__setattr__(self, key, array)

@@ -328,6 +328,7 @@ def _robot(file: _DhFile | _ChainFile) -> Robot:
         payload=_known(file.payload_kg),
         link_radius=_known(file.link_radius_mm) * MM,
         source=file.source,
+        continuous=np.array([row.type == "continuous" for row in rows]),
         controller=None if file.controller is None else file.controller.record(len(rows)),
     )
 

@@ -182,7 +182,7 @@ class TwoArmPlanSection(Section):
     tolerance_mm: Positive | None = None
     confidence: Annotated[Positive, Field(lt=1)] = 0.95
     criterion: Literal["test_pose", "A", "D", "E", "G"] = "test_pose"
-    candidates: Count = 10_000
+    candidates: Annotated[Count, Field(le=10_000_000)] = 10_000
     refine: Switch = True
     repeats: Switch = True
     max_std_percent: Positive = 300.0

@@ -84,6 +84,7 @@ def _robot(tree: UrdfTree, start: str, end: str, chain: Sequence[UrdfJoint]) -> 
         centres=np.array(centres),
         efforts=np.array([joint.effort for joint in chain]),
         shapes=tuple(shapes),
+        continuous=np.array([joint.kind == "continuous" for joint in chain]),
         source=f"URDF file {tree.path.name}, links {start} to {end}",
     )
 

@@ -350,8 +350,8 @@ def test_ctrl_c_in_the_real_process_leaves_nothing(files):
 
 
 UNLIMITED = """<robot name="free"><link name="a"/><link name="b"/><link name="c"/>
-<joint name="j1" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint>
-<joint name="j2" type="continuous"><parent link="b"/><child link="c"/><origin xyz="1 0 0"/><axis xyz="0 1 0"/></joint>
+<joint name="j1" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint>
+<joint name="j2" type="revolute"><parent link="b"/><child link="c"/><origin xyz="1 0 0"/><axis xyz="0 1 0"/></joint>
 </robot>"""
 HOSTILE = """<?xml version="1.0"?><!DOCTYPE robot [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;">
 <!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;">]><robot name="&c;"><link name="a"/></robot>"""
@@ -363,6 +363,10 @@ BAD_STUDIES = {
     "unknown table": (changed(planning={"poses": 5}), ["[planning]: unknown table"]),
     "no toml": ("[robot\n", ["line 1"]),
     "zero poses": (changed(plan={"poses": 0}), ["[plan] poses = 0: must be above 0"]),
+    "more candidates than fit": (
+        changed(plan={"candidates": 10**10}),
+        ["[plan] candidates = 10000000000", "at most 10000000"],
+    ),
     "poses and tolerance": (changed(plan={"tolerance_mm": 0.1}), ["[plan] poses = 12", "tolerance_mm, not both"]),
     "unknown load": (changed(plan={"loads": ["L9"]}), ["[plan] loads, entry 1 = 'L9'", "unknown load", "L1, L2"]),
     "unknown criterion": (changed(plan={"criterion": "B"}), ["[plan] criterion = 'B'", "test_pose"]),
@@ -385,7 +389,7 @@ BAD_STUDIES = {
     "hostile URDF": (changed(robot={"model": "hostile.urdf"}), ["hostile.urdf", "entit"]),
     "no limits": (
         changed(robot={"model": "free.urdf"}, test_poses=[{"joints_deg": [0.0, 0.0]}], constraints={"floor_mm": None}),
-        ["free.urdf", "joint j1, j2", "has no limits", "limit lower upper"],
+        ["free.urdf", "no limits", "joint j1, j2", "limit lower upper", "continuous"],
     ),
 }
 
@@ -418,7 +422,7 @@ def test_several_mistakes_are_told_at_once(files, capsys):
 def test_a_urdf_whose_meshes_are_missing_is_planned_all_the_same(files):
     meshes = '<collision><geometry><mesh filename="package://nowhere/a.stl"/></geometry></collision>'
     limits = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
-    text = UNLIMITED.replace("continuous", "revolute").replace("</joint>", f"{limits}</joint>")
+    text = UNLIMITED.replace("</joint>", f"{limits}</joint>")
     (files / "arm.urdf").write_text(text.replace('<link name="b"/>', f'<link name="b">{meshes}</link>'))
     tests = [{"joints_deg": [0.0, 20.0], "wrench": [0.0, 0.0, -10.0, 0.0, 0.0, 0.0], "attach_mm": [200.0, 0.0, 0.0]}]
     loads = [{"id": "L0"}, {"id": "L1", "mass_kg": 5.0, "attach_mm": [500.0, 0.0, 0.0]}]

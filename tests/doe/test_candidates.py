@@ -169,6 +169,15 @@ def test_one_turn_around_the_middle_is_sampled():
     np.testing.assert_allclose(sampled_range(study_of(shifted)), [[4 - np.pi, 0], [4 + np.pi, 2]])
 
 
+def test_a_continuous_joint_is_sampled_over_one_turn_around_zero():
+    robot = load_robot("planar_2r")
+    free = replace(robot, lower=np.array([-np.inf, 0.0]), upper=np.array([np.inf, 2.0]))
+    with pytest.raises(InputError, match="no limits are stated of joint"):
+        sampled_range(study_of(free))
+    turning = replace(free, continuous=np.array([True, False]))
+    np.testing.assert_allclose(sampled_range(study_of(turning, joint_margin=0.1)), [[-np.pi, 0.1], [np.pi, 1.9]])
+
+
 # ---- rounding
 
 
@@ -273,7 +282,7 @@ def test_a_robot_without_limits_names_joint_file_and_remedy(side):
     with pytest.raises(InputError) as error:
         candidates(study, seed=0)
     words = str(error.value)
-    assert words.startswith("arm.urdf: joint shoulder, wrist_2 of Universal Robots UR10 has no limits")
+    assert words.startswith("arm.urdf: no limits are stated of joint shoulder, wrist_2 of Universal Robots UR10")
     assert "lower_deg and upper_deg" in words
 
 

@@ -244,7 +244,7 @@ def test_without_joint_limits_the_reason_is_said_and_nothing_fails(ambiguous):
     search = replace(found.search, study=replace(found.search.study, robot=endless))
     following = next_poses(whole, replace(found, search=search))
     assert following.experiment is None
-    assert "has no limits" in following.notes[0]
+    assert "no limits are stated" in following.notes[0]
     assert [pair.separable for pair in following.separations] == [None] * len(following.separations)
     with pytest.raises(InputError, match="count = 0"):
         next_poses(whole, found, count=0)

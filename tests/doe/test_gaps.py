@@ -105,6 +105,32 @@ def test_poses_refused_by_boxes_and_weights_are_those_that_coal_refuses(mount):
     assert 10 < at_arm.sum() < 200
 
 
+def test_a_clearance_refuses_nothing_that_stands_further_off():
+    """Against coal, with a clearance within which bounds of the distance would refuse more."""
+    study = cell(boxes=(CABINET,), self_collision=False, clearance=0.15)
+    q, arm, hung = poses(study, 200), capsules(study), weights(study, capsules(study))
+    frames = forward(study.robot, q)
+    starts, ends = arm.segments(frames)
+    attach, obstacle = frames.point(BLOCK.attach), box(CABINET.centre, CABINET.half, CABINET.rotation)
+    at_box, at_arm = np.full((2, len(q)), np.inf)
+    for v in range(len(q)):
+        links = [capsule(a, b, r) for a, b, r in zip(starts[v], ends[v], arm.radii, strict=True)]
+        markers = frames.flange_origin[v] + study.markers.positions @ frames.flange_rotation[v].T
+        moving = [link for link, moves in zip(links, arm.moving, strict=True) if moves]
+        at_box[v] = min(distance(item, obstacle) for item in [*moving, *(capsule(p, p, 1e-9) for p in markers)])
+        top = attach[v] - [0, 0, BLOCK.hang]
+        body = box(top - [0, 0, BLOCK.size[2] / 2], BLOCK.size / 2, np.eye(3))
+        near = [distance(body, link) for link, on in zip(links, hung.boxed[1], strict=True) if on]
+        rope = capsule(attach[v], top, 1e-9)
+        near += [distance(rope, link) for link, on in zip(links, hung.roped[1], strict=True) if on]
+        at_arm[v] = min(near)
+    gaps = gaps_of(study)
+    np.testing.assert_array_equal(gaps.to_boxes(frames)[:, 0] < 0, at_box < 0.15)
+    np.testing.assert_array_equal(gaps.weights_to_links(frames)[:, 1] < 0, at_arm < 0.15)
+    assert 5 < (np.abs(at_box - 0.15) < 0.15).sum()
+    assert 5 < (np.abs(at_arm - 0.15) < 0.15).sum()
+
+
 def test_poses_refused_by_a_wall_have_a_point_behind_it():
     study = cell(
         walls=(BACK,), self_collision=False, loads=(UNLOADED, LoadCase("P", mass=5.0, attach=BLOCK.attach), BLOCK)

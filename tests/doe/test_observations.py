@@ -257,6 +257,26 @@ def test_a_test_pose_that_turns_joint_1_cannot_be_told_from_hung_weights(tmp_pat
     assert caught.value.exit_code == 3
 
 
+def test_an_axis_that_a_robot_file_rounds_off_the_vertical_tells_nothing(tmp_path):
+    """URDF files write 3.14159: the tilt of 1e-6 gives joint 1 a column that no fit could use."""
+    made = kr270(tmp_path)
+    tilt = np.eye(4)
+    tilt[1, 2], tilt[2, 1] = -1.5e-6, 1.5e-6
+    placements = np.concatenate([(tilt @ made.robot.placements[0])[None], made.robot.placements[1:]])
+    made = replace(made, robot=replace(made.robot, placements=placements))
+    watching = observer(made)
+    blocks = watching.blocks(poses_of(made.robot, 50, seed=8), np.array([[0, 1]] * 50))
+    names = watching.model.names
+    assert names[identifiable(blocks).kept[0]] == "joint_compliance.j1"
+    known = identifiable(blocks, parameters=watching.parameters)
+    (dropped,) = known.dropped
+    assert names[dropped.column] == "joint_compliance.j1"
+    assert dropped.std == pytest.approx(1.0 / np.linalg.norm(blocks[:, :, 0]), rel=0.1)
+    assert target_rows(watching, known).shape == (2, 3, 5)
+    with pytest.raises(NotIdentifiable, match="to no better than"):
+        target_rows(observer(horizontal(made)), known)
+
+
 def test_criteria_that_do_not_need_the_test_poses_go_on_without_them(tmp_path, caplog):
     made = horizontal(kr270(tmp_path))
     watching = observer(made)

@@ -285,6 +285,7 @@ def test_limits_that_are_not_stated_are_unknown(tmp_path, old, new, lower, upper
     assert old in ARM
     robot = robot_from_urdf(written(tmp_path, ARM.replace(old, new)))
     assert (robot.lower[0], robot.upper[0]) == (lower, upper)
+    assert robot.continuous.tolist() == ["continuous" in new, False]
 
 
 def test_nothing_is_printed(tmp_path, capfd):
