@@ -30,7 +30,15 @@ from doe.judgement import (
     weakest,
 )
 from doe.objective import Objective
-from doe.order_report import approach_json, budget_json, budget_lines, conditions_of, order_json, order_lines
+from doe.order_report import (
+    approach_json,
+    budget_json,
+    budget_lines,
+    conditions_of,
+    order_json,
+    order_lines,
+    order_notes,
+)
 from doe.plan import Plan, plan
 from doe.regions import poses_in
 from doe.schedule import time_as_given
@@ -78,11 +86,11 @@ def run_plan(study_file: Path, *, seed: int, out: Path, before: EarlierFiles = N
         "measured": _measured(study, made),
         "unreachable": list(before.unreachable),
         "time_s": None if made.schedule is None else made.schedule.time,
-        "order": None if made.schedule is None else order_json(made.schedule),
+        "order": None if made.schedule is None else order_json(made.schedule, experiment.visits),
         "references": "own_visits" if made.pool.observer.own_visits else "same_visit",
         "approach_deg": approach_json(study),
         "budget": budget_json(made),
-        "notes": [*told, *made.notes],
+        "notes": [*told, *made.notes, *order_notes(made.schedule, experiment.visits)],
     }
     tables = {"plan.csv": plan_csv(experiment, study)}
     lines = (*judgement_lines(content, len(made.q)), *order_lines(made.schedule), *budget_lines(made),
