@@ -97,24 +97,33 @@ def plan(
 
 
 @app.command
-def evaluate(study: Path, plan: Path, *, out: Path, common: Common = _DEFAULT) -> int:
+def evaluate(
+    study: Path,
+    plan: Path,
+    *,
+    out: Path,
+    measured: Path | None = None,
+    result: Path | None = None,
+    common: Common = _DEFAULT,
+) -> int:
     """Judge any set of poses and loads.
 
     Args:
         study: Study file (TOML).
         plan: Pose file (CSV): pose, load, q1_deg ... With two arms the folder that holds plan_<arm>.csv of each.
         out: Folder for evaluate.json.
+        measured: What was measured already (CSV); the poses are judged beside it.
+        result: identify.json or diagnose.json of a first fit, whose values they are judged with.
         common: Options that every command has.
     """
     from doe.commands import run_evaluate
+    from doe.earlier_files import EarlierFiles
     from doe.two_arm_commands import run_evaluate_both
     from identify.two_arm_config import holds_two_arms
 
-    return _finish(
-        lambda: (run_evaluate_both if holds_two_arms(study) else run_evaluate)(study, plan, seed=common.seed),
-        out,
-        common,
-    )
+    judge = run_evaluate_both if holds_two_arms(study) else run_evaluate
+    before = EarlierFiles(measured, result)
+    return _finish(lambda: judge(study, plan, seed=common.seed, before=before), out, common)
 
 
 @app.command

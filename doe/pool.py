@@ -20,7 +20,7 @@ from identify.arrays import Floats
 from identify.identifiability import Identifiability
 from identify.study import Study
 
-__all__ = ["AnyPool", "Pool", "build_pool"]
+__all__ = ["AnyPool", "Pool", "build_pool", "measured_blocks"]
 
 log = logging.getLogger("elastocal")
 
@@ -99,7 +99,7 @@ def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING) -> Pool:
     chosen = without_refused(study, candidates(study, seed=seed), earlier)
     watching = observer(study, own_visits=study.plan.references == "own_visits")
     blocks = watching.blocks(chosen.visit_q, chosen.visit_loads)
-    measured = _measured(watching, earlier)
+    measured = measured_blocks(watching, earlier)
     known = identifiable(blocks, measured)
     own = _pool(watching, chosen, known, blocks, earlier, measured)
     draws = tuple(_at_values(own, replace(study, nominal=values)) for values in drawn)
@@ -114,11 +114,11 @@ def _at_values(pool: Pool, study: Study) -> Pool:
     nominal = pool.observer
     watching = replace(observer(study, own_visits=nominal.own_visits), reference=nominal.reference)
     blocks = watching.blocks(pool.candidates.visit_q, pool.candidates.visit_loads)
-    measured = _measured(watching, pool.earlier)
+    measured = measured_blocks(watching, pool.earlier)
     return _pool(watching, pool.candidates, pool.known, blocks, pool.earlier, measured)
 
 
-def _measured(watching: Observer, earlier: Earlier) -> Floats | None:
+def measured_blocks(watching: Observer, earlier: Earlier) -> Floats | None:
     """(V, k, p) blocks of what was measured, whose visits are as they were, whatever those of the plan will be."""
     if earlier.measured is None:
         return None

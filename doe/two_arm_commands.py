@@ -49,11 +49,7 @@ def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_
     Raises:
         InputError: The file is wrong, or something that was measured before is named.
     """
-    if before != NO_FILES:
-        raise InputError(
-            f"{study_file}: --measured, --result, --earlier and --unreachable belong to a study of one arm; this one "
-            "has [[arms]]. Plan for the study of the arm that is measured, which stands under [[arms]] study"
-        )
+    _without_earlier(study_file, before)
     study = load_two_arm_study(study_file)
     made = plan_for_both(study, seed=seed)
     pool, arms = made.pool, made.choice.arms
@@ -91,8 +87,13 @@ def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_
     return Outcome("plan", content, study.inputs, tables, tuple(lines))
 
 
-def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:
-    """Judge the pose files of both arms, which stand in one folder."""
+def run_evaluate_both(study_file: Path, folder: Path, *, seed: int, before: EarlierFiles = NO_FILES) -> Outcome:
+    """Judge the pose files of both arms, which stand in one folder.
+
+    Raises:
+        InputError: A file is wrong or missing, or something that was measured before is named.
+    """
+    _without_earlier(study_file, before)
     study = load_two_arm_study(study_file)
     files = _plan_files(study, folder)
     experiments = [
@@ -122,6 +123,19 @@ def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:
     for arm, found in zip(study.arms, confused, strict=True):
         lines += [f"{arm.name}: {line}" for line in confusability_lines(found)]
     return Outcome("evaluate", content, (*study.inputs, *files), {}, tuple(lines))
+
+
+def _without_earlier(study_file: Path, before: EarlierFiles) -> None:
+    """Refuse what was measured before.
+
+    Raises:
+        InputError: Something is named.
+    """
+    if before != NO_FILES:
+        raise InputError(
+            f"{study_file}: --measured, --result, --earlier and --unreachable belong to a study of one arm; this one "
+            "has [[arms]]. Take the study of the arm that is measured, which stands under [[arms]] study"
+        )
 
 
 def _by_arm(study: TwoArmStudy, values: Any) -> dict[str, Any]:
