@@ -40,7 +40,10 @@ from identify.two_arm_study import TwoArmStudy
 
 __all__ = ["run_evaluate_both", "run_plan_for_both"]
 
-_APART = "poses are checked for each arm alone: keep the arm that is not measured out of the way, unloaded and still"
+_APART = (
+    "collisions between the two arms are not checked, poses are checked for each arm alone: keep the arm that is not "
+    "measured out of the way, unloaded and still"
+)
 
 
 def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_FILES) -> Outcome:
@@ -117,7 +120,7 @@ def run_evaluate_both(study_file: Path, folder: Path, *, seed: int, before: Earl
         "curve": _curve_of_poses(study, judged, seed),
         "confusability": _by_arm(study, confused),
         "time_s": in_turn(time_as_given(arm.study, e) for arm, e in zip(study.arms, experiments, strict=True)),
-        "notes": [],
+        "notes": [_APART],
     }
     lines = list(_lines(content))
     for arm, found in zip(study.arms, confused, strict=True):
