@@ -15,6 +15,7 @@ from doe.schedule import STEP, Schedule
 from identify.arrays import Floats
 from identify.experiment import Experiment, full_experiment
 from identify.study import Study
+from identify.units import clock
 
 __all__ = [
     "approach_json",
@@ -90,7 +91,7 @@ def order_lines(ordered: Schedule | None) -> tuple[str, ...]:
     if ordered.fewest.proven and ordered.lifts == ordered.fewest.lifts:
         lines[0] += ", proven that fewer are not possible"
     if ordered.time is not None:
-        lines.append(f"time to measure it: {_clock(ordered.time)}, {ordered.travel_s:.0f} s of it between poses")
+        lines.append(f"time to measure it: {clock(ordered.time)}, {ordered.travel_s:.0f} s of it between poses")
     where = "at the test poses" if ordered.unit == "mm" else "of the parameters"
     lines.append(
         f"a drift of 1 mm/h leaves {ordered.left.shift:.2g} {ordered.unit} {where}, one of 1 mrad/h "
@@ -98,12 +99,6 @@ def order_lines(ordered: Schedule | None) -> tuple[str, ...]:
         f"{ordered.as_found.turn:.2g})"
     )
     return tuple(lines)
-
-
-def _clock(seconds: float) -> str:
-    """A time in hours and minutes."""
-    hours, minutes = divmod(round(seconds / 60.0), 60)
-    return f"{hours} h {minutes:02d} min"
 
 
 def approach_json(study: Study) -> Floats | None:
