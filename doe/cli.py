@@ -116,26 +116,40 @@ def plan(
 
 
 @app.command
-def evaluate(study: Path, plan: Path, *, out: Path, work: Work = _HERE, common: Common = _DEFAULT) -> int:
+def evaluate(
+    study: Path,
+    plan: Path,
+    *,
+    out: Path,
+    measured: Path | None = None,
+    result: Path | None = None,
+    work: Work = _HERE,
+    common: Common = _DEFAULT,
+) -> int:
     """Judge any set of poses and loads.
 
     Args:
         study: Study file (TOML).
         plan: Pose file (CSV): pose, load, q1_deg ... With two arms the folder that holds plan_<arm>.csv of each.
         out: Folder for evaluate.json.
+        measured: What was measured already (CSV); the poses are judged beside it.
+        result: identify.json or diagnose.json of a first fit, whose values they are judged with.
         work: Where it is worked out.
         common: Options that every command has.
     """
     from doe.commands import run_evaluate
+    from doe.earlier_files import EarlierFiles
     from doe.executor import executor_of
     from doe.two_arm_commands import run_evaluate_both
     from identify.two_arm_config import holds_two_arms
 
+    before = EarlierFiles(measured, result)
+
     def run() -> Outcome:
         with executor_of(work.workers, work.scheduler) as executor:
             if holds_two_arms(study):
-                return run_evaluate_both(study, plan, seed=common.seed)
-            return run_evaluate(study, plan, seed=common.seed, executor=executor)
+                return run_evaluate_both(study, plan, seed=common.seed, before=before)
+            return run_evaluate(study, plan, seed=common.seed, before=before, executor=executor)
 
     return _finish(run, out, common)
 

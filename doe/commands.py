@@ -12,6 +12,7 @@ import numpy as np
 from doe.accuracy import Accuracy, accuracy
 from doe.curve import accuracy_curve, fewest_shown, sizes
 from doe.design_choices import choice_lines, chosen_toml, decide
+from doe.earlier import Earlier
 from doe.earlier_files import NO_FILES, EarlierFiles, load_earlier
 from doe.evaluate import evaluate
 from doe.executor import HERE, Executor
@@ -31,7 +32,15 @@ from doe.judgement import (
     weakest,
 )
 from doe.objective import Objective
-from doe.order_report import approach_json, budget_json, budget_lines, conditions_of, order_json, order_lines
+from doe.order_report import (
+    approach_json,
+    budget_json,
+    budget_lines,
+    conditions_of,
+    order_json,
+    order_lines,
+    order_notes,
+)
 from doe.plan import Plan, plan
 from doe.regions import poses_in
 from doe.schedule import time_as_given
@@ -79,14 +88,14 @@ def run_plan(
         "chosen_study": None if made.decision is None else CHOSEN,
         "curve": _curve_of_plan(study, made, seed),
         "robust": _robust(study, made, experiment.visits),
-        "measured": _measured(study, made),
+        "measured": _measured(study, made.pool.objective, earlier, made.pool.prior),
         "unreachable": list(before.unreachable),
         "time_s": None if made.schedule is None else made.schedule.time,
-        "order": None if made.schedule is None else order_json(made.schedule),
+        "order": None if made.schedule is None else order_json(made.schedule, experiment.visits),
         "references": "own_visits" if made.pool.observer.own_visits else "same_visit",
         "approach_deg": approach_json(study),
         "budget": budget_json(made),
-        "notes": [*told, *made.notes],
+        "notes": [*told, *made.notes, *order_notes(made.schedule, experiment.visits)],
     }
     tables = {"plan.csv": plan_csv(experiment, study)}
     lines = (*judgement_lines(content, len(made.q)), *order_lines(made.schedule), *budget_lines(made),
@@ -97,11 +106,22 @@ def run_plan(
     return Outcome("plan", content, (*study.inputs, *before.paths), tables, lines)
 
 
-def run_evaluate(study_file: Path, plan_file: Path, *, seed: int, executor: Executor = HERE) -> Outcome:
-    """Judge a pose file."""
-    study, decision = decide(load_study(study_file), seed=seed, executor=executor)
+def run_evaluate(
+    study_file: Path, plan_file: Path, *, seed: int, before: EarlierFiles = NO_FILES, executor: Executor = HERE
+) -> Outcome:
+    """Judge a pose file, beside what was measured before.
+
+    Args:
+        study_file: The study.
+        plan_file: The poses.
+        seed: Seed of the candidates that they are compared with.
+        before: What was measured or fitted before.
+        executor: Who does independent pieces of work.
+    """
+    study, earlier, told = load_earlier(load_study(study_file), before)
+    study, decision = decide(study, seed=seed, executor=executor)
     experiment = plan_experiment(load_plan(plan_file, study), study)
-    judged = evaluate(study, experiment, seed=seed, executor=executor)
+    judged = evaluate(study, experiment, seed=seed, earlier=earlier, executor=executor)
     stated, study = study, judged.observer.study
     aim = judged.objective
     reached = _accuracy(study, aim, judged.covariance)
@@ -118,17 +138,18 @@ def run_evaluate(study_file: Path, plan_file: Path, *, seed: int, executor: Exec
         **counts(None if judged.pool is None else judged.pool.candidates),
         "visits_rejected": dict(judged.broken),
         "choices": None if decision is None else decision.as_json,
-        "curve": _curve(study, aim, sizes(judged.visits), seed, pool=judged.pool, own=judged.own),
+        "curve": _curve(study, aim, sizes(judged.visits), seed, pool=judged.pool, own=judged.own, prior=judged.prior),
         "confusability": confusability_json(study, experiment),
+        "measured": _measured(study, aim, earlier, judged.prior),
         "time_s": time_as_given(study, experiment),
-        "notes": _notes(judged.broken),
+        "notes": [*told, *_notes(judged.broken)],
     }
     lines = (
         *judgement_lines(content, judged.visits),
         *curve_lines(content["curve"]),
         *confusability_lines(content["confusability"]),
     )
-    return Outcome("evaluate", content, (*study.inputs, plan_file), {}, lines)
+    return Outcome("evaluate", content, (*study.inputs, plan_file, *before.paths), {}, lines)
 
 
 def _notes(broken: Mapping[str, int]) -> list[str]:
@@ -170,15 +191,14 @@ def _robust(study: Study, made: Plan, names: tuple[str, ...]) -> dict[str, Any] 
     }
 
 
-def _measured(study: Study, made: Plan) -> dict[str, Any] | None:
+def _measured(study: Study, aim: Objective, earlier: Earlier, prior: Floats | None) -> dict[str, Any] | None:
     """What the measured visits alone reach; None without any."""
-    measured, prior = made.pool.earlier.measured, made.pool.prior
-    if measured is None or prior is None:
+    if earlier.measured is None or prior is None:
         return None
-    value = made.pool.objective.value(prior)
-    reached = _accuracy(study, made.pool.objective, covariance_of(prior)) if np.isfinite(value) else None
+    value = aim.value(prior)
+    reached = _accuracy(study, aim, covariance_of(prior)) if np.isfinite(value) else None
     return {
-        "visits": len(np.unique(measured.row_visit)),
+        "visits": len(np.unique(earlier.measured.row_visit)),
         "value": value,
         "rms_mm": None if reached is None else reached.rms,
         "rms_total_mm": None if reached is None else reached.rms_total,
@@ -195,7 +215,8 @@ def _curve_of_plan(study: Study, made: Plan, seed: int) -> list[dict[str, Any]]:
 def _curve(study: Study, aim: Objective, shown: list[int], seed: int, **of: Any) -> list[dict[str, Any]]:
     """The curve at some sizes; empty without test poses or where the study does not want it.
 
-    ``of`` are the candidates, the guard of a plan or the visits of a pose file, as `accuracy_curve` takes them.
+    ``of`` are the candidates, the guard of a plan, the visits of a pose file and what was measured, as `accuracy_curve`
+    takes them.
     """
     if aim.rows is None or not study.plan.curve:
         return []

@@ -88,6 +88,7 @@ def accuracy_curve(
     pool: AnyPool | None,
     own: Floats | None = None,
     guard: Guard | None = None,
+    prior: Floats | None = None,
 ) -> tuple[CurvePoint, ...]:
     """Accuracy for some numbers of experiments.
 
@@ -100,9 +101,10 @@ def accuracy_curve(
         pool: The candidates on the same parameters; None if there are none.
         own: (n, k, p) given visits in their order, which then count as candidates for the bound.
         guard: What is weighed into the designed plans.
+        prior: (p, p) information that is there already where there are no candidates, which else know it.
     """
     given = np.zeros((0, 1, aim.size)) if own is None else own
-    prior = None if pool is None else pool.prior
+    prior = prior if pool is None else pool.prior
     bounds = _bounds(aim, settings, counts, given[:0] if pool is None else pool.blocks, given, prior)
     designed = [_designed(pool, count, seed, guard or Guard()) for count in counts]
     random = _random(aim, pool, counts, settings, seed)

@@ -11,12 +11,13 @@ import numpy as np
 from doe.bounds import NODES, Bound, bound_of
 from doe.candidates import Candidates, candidates
 from doe.design_choices import open_choices
+from doe.earlier import NOTHING, Earlier
 from doe.executor import HERE, Executor
 from doe.feasible import FEASIBLE, count_reasons, screen
 from doe.information import covariance_of, information_of
 from doe.objective import Objective, objective
 from doe.observations import Observer, identifiable, keep_columns, observer, stacked_visits
-from doe.pool import Pool
+from doe.pool import Pool, measured_blocks
 from doe.regions import with_regions
 from identify.arrays import Floats
 from identify.errors import Infeasible, InputError
@@ -36,13 +37,14 @@ class Evaluation:
     Attributes:
         observer: How readings are compared.
         experiment: The poses and loads.
-        known: Parameters that they can identify.
+        known: Parameters that they, and what was measured, can identify.
         objective: The criterion on these parameters.
-        information: (p, p) of them.
+        information: (p, p) of them, what was measured included.
         own: (V, k, p) blocks of the visits, in their order.
         pool: What it was compared with, on these parameters; None if nothing keeps to the constraints.
         bound: Value and proven bound.
         broken: Number of visits by the first constraint of the study that they break.
+        prior: (p, p) information of what was measured, or None.
     """
 
     observer: Observer
@@ -54,6 +56,7 @@ class Evaluation:
     pool: Pool | None
     bound: Bound
     broken: Mapping[str, int]
+    prior: Floats | None = None
 
     @property
     def visits(self) -> int:
@@ -66,16 +69,20 @@ class Evaluation:
         return covariance_of(self.information)
 
 
-def evaluate(study: Study, experiment: Experiment, *, seed: int = 0, executor: Executor = HERE) -> Evaluation:
+def evaluate(
+    study: Study, experiment: Experiment, *, seed: int = 0, earlier: Earlier = NOTHING, executor: Executor = HERE
+) -> Evaluation:
     """Judge a pose set by the criterion of the study.
 
     The bound is the best that any set of as many visits could reach with the study's candidates and the
-    set's own visits. Parameters that the set cannot identify are held at their nominal values in both.
+    set's own visits, each beside what was measured. Parameters that the set cannot identify are held at their
+    nominal values in both.
 
     Args:
         study: The study.
         experiment: The visits with their shots, any layout.
         seed: Seed of the candidates.
+        earlier: What was measured before, which counts in full beside these visits.
         executor: Who checks the candidates and builds their blocks.
 
     Raises:
@@ -89,17 +96,21 @@ def evaluate(study: Study, experiment: Experiment, *, seed: int = 0, executor: E
     study = with_regions(study)
     watching = observer(study)
     own = stacked_visits(watching, experiment)
-    known = identifiable(own, parameters=watching.parameters)
+    measured = measured_blocks(watching, earlier)
+    known = identifiable(own, measured, parameters=watching.parameters)
     aim = objective(watching, known, study.plan.criterion)
     own = own[:, :, known.kept]
-    information = information_of(own)
+    prior = None if measured is None else information_of(measured[:, :, known.kept])
+    information = information_of(own, prior)
     chosen, pool = _candidates(study, seed, executor), None
     if chosen is not None:
         blocks = keep_columns(watching.blocks(chosen.visit_q, chosen.visit_loads, executor), known.kept)
-        pool = Pool(watching, chosen, known, blocks, aim, executor=executor)
+        pool = Pool(watching, chosen, known, blocks, aim, prior, earlier, executor=executor)
     among = own[:0] if pool is None else pool.blocks
-    bound = bound_of(aim, len(own), among, own, aim.value(information), repeats=study.plan.repeats, nodes=NODES)
-    return Evaluation(watching, experiment, known, aim, information, own, pool, bound, _broken(study, experiment))
+    value, repeats = aim.value(information), study.plan.repeats
+    bound = bound_of(aim, len(own), among, own, value, repeats=repeats, prior=prior, nodes=NODES)
+    broken = _broken(study, experiment)
+    return Evaluation(watching, experiment, known, aim, information, own, pool, bound, broken, prior)
 
 
 def _broken(study: Study, experiment: Experiment) -> dict[str, int]:

@@ -8,19 +8,17 @@ in the middle of a part is not below half of that, the whole part is free (conse
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from doe.gaps import Gaps, gaps_of
-from doe.travel import Free
 from identify.arrays import Floats, Ints
 from identify.errors import InputError
 from identify.kinematics import Frames, forward
 from identify.loads import LoadCase
 from identify.study import Study
 
-__all__ = ["STEP", "free_moves", "stated_moves"]
+__all__ = ["STEP", "free_moves"]
 
 #: Largest motion of any point between two poses that are looked at, m; the clearance where that is larger.
 STEP = 0.02
@@ -72,13 +70,6 @@ def free_moves(study: Study, q_from: Floats, q_to: Floats, loads: Ints | None = 
         move = np.repeat(move[open_], 2)
         middle = np.repeat(middle[open_], 2) + np.tile([-half, half], int(open_.sum()))
     return free
-
-
-def stated_moves(study: Study) -> Free | None:
-    """What tells free moves of a study; None without a home pose, from which the arm goes around what is in the way."""
-    if study.constraints.home is None:
-        return None
-    return partial(free_moves, study)
 
 
 def _least(study: Study, gaps: Gaps, q: Floats, loads: Ints) -> Floats:

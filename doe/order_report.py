@@ -15,8 +15,20 @@ from doe.schedule import STEP, Schedule
 from identify.arrays import Floats
 from identify.experiment import Experiment, full_experiment
 from identify.study import Study
+from identify.units import clock
 
-__all__ = ["approach_json", "budget_json", "budget_lines", "conditions_of", "in_turn", "order_json", "order_lines"]
+__all__ = [
+    "approach_json",
+    "budget_json",
+    "budget_lines",
+    "conditions_of",
+    "in_turn",
+    "order_json",
+    "order_lines",
+    "order_notes",
+]
+
+_SHOWN = 10  # moves in a note
 
 
 def conditions_of(ordered: Schedule | None, study: Study, taken: tuple[str, ...] = ()) -> Experiment:
@@ -34,8 +46,8 @@ def conditions_of(ordered: Schedule | None, study: Study, taken: tuple[str, ...]
     return full_experiment(np.zeros((0, study.robot.n)), np.zeros((0, 1), dtype=np.int64), study.loads, study.markers)
 
 
-def order_json(ordered: Schedule) -> dict[str, Any]:
-    """Order of a plan, for plan.json."""
+def order_json(ordered: Schedule, names: tuple[str, ...]) -> dict[str, Any]:
+    """Order of a plan, for plan.json; ``names`` (V,) of its visits."""
     return {
         "visits": len(ordered.q),
         "lifts": ordered.lifts,
@@ -44,6 +56,7 @@ def order_json(ordered: Schedule) -> dict[str, Any]:
         "travel_deg": ordered.travel_deg,
         "travel_s": None if ordered.time is None else ordered.travel_s,
         "detours": ordered.detours,
+        "blocked": [list(names[place - 1 : place + 1]) for place in ordered.blocked],
         "reading_times": "stated" if ordered.stated else f"equal steps of {STEP:g} s",
         "drift_leftover": _leftover_json(ordered.left, ordered.unit),
         "as_found": {
@@ -51,6 +64,18 @@ def order_json(ordered: Schedule) -> dict[str, Any]:
             "drift_leftover": _leftover_json(ordered.as_found, ordered.unit),
         },
     }
+
+
+def order_notes(ordered: Schedule | None, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Moves that must not be driven straight; ``names`` (V,) of the visits."""
+    if ordered is None or not len(ordered.blocked):
+        return ()
+    moves = [" to ".join(names[place - 1 : place + 1]) for place in ordered.blocked]
+    more = f" and {len(moves) - _SHOWN} more" if len(moves) > _SHOWN else ""
+    return (
+        f"the order found has moves that collide: do not drive straight from {', '.join(moves[:_SHOWN])}"
+        f"{more}. State a home pose ([constraints] home_deg) to have ways around planned",
+    )
 
 
 def _leftover_json(left: Leftover, unit: str) -> dict[str, Any]:
@@ -66,7 +91,7 @@ def order_lines(ordered: Schedule | None) -> tuple[str, ...]:
     if ordered.fewest.proven and ordered.lifts == ordered.fewest.lifts:
         lines[0] += ", proven that fewer are not possible"
     if ordered.time is not None:
-        lines.append(f"time to measure it: {_clock(ordered.time)}, {ordered.travel_s:.0f} s of it between poses")
+        lines.append(f"time to measure it: {clock(ordered.time)}, {ordered.travel_s:.0f} s of it between poses")
     where = "at the test poses" if ordered.unit == "mm" else "of the parameters"
     lines.append(
         f"a drift of 1 mm/h leaves {ordered.left.shift:.2g} {ordered.unit} {where}, one of 1 mrad/h "
@@ -74,12 +99,6 @@ def order_lines(ordered: Schedule | None) -> tuple[str, ...]:
         f"{ordered.as_found.turn:.2g})"
     )
     return tuple(lines)
-
-
-def _clock(seconds: float) -> str:
-    """A time in hours and minutes."""
-    hours, minutes = divmod(round(seconds / 60.0), 60)
-    return f"{hours} h {minutes:02d} min"
 
 
 def approach_json(study: Study) -> Floats | None:

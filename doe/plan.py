@@ -17,7 +17,6 @@ from doe.earlier import NOTHING, Earlier
 from doe.executor import HERE, Executor
 from doe.guard import Guard
 from doe.information import covariance_of
-from doe.moves import stated_moves
 from doe.pool import Pool, build_pool
 from doe.purse import prices
 from doe.reach import Reach, reach_of
@@ -98,7 +97,7 @@ def plan(
         earlier: What was measured, which counts in full beside the ``poses`` that are picked, and poses to keep clear
             of. With a tolerance none may be left to pick.
         home: (joints,) where the robot comes from and goes around obstacles; None: the home of the constraints.
-        free: Which straight moves between poses are free; None: what the constraints say, see `doe.moves`.
+        free: Which straight moves between poses are free; None: what the constraints say, see `doe.schedule`.
         executor: Who does independent pieces of work; the plan does not depend on it.
 
     Raises:
@@ -146,19 +145,18 @@ def scheduled_choice(
     Raises:
         Infeasible: No order avoids moves that are not free.
     """
-    study, kept = pool.observer.study, pool.known.kept
     covariance = covariance_of(pool.information(choice.own))
     measure = yardstick(pool.objective, covariance)
     return schedule(
         pool.observer,
         choice.q,
         choice.visit_loads,
-        kept,
+        pool.known.kept,
         measure.rows @ covariance,
         measure,
         seed=seed,
-        home=study.constraints.home if home is None else home,
-        free=stated_moves(study) if free is None else free,
+        home=home,
+        free=free,
     )
 
 

@@ -21,7 +21,7 @@ from identify.arrays import Floats
 from identify.identifiability import Identifiability
 from identify.study import Study
 
-__all__ = ["AnyPool", "Pool", "build_pool"]
+__all__ = ["AnyPool", "Pool", "build_pool", "measured_blocks"]
 
 _COMPARED = 4096  # blocks at a time
 
@@ -108,7 +108,7 @@ def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING, executor: Ex
     chosen = without_refused(study, candidates(study, seed=seed, executor=executor), earlier)
     watching = observer(study, own_visits=study.plan.references == "own_visits")
     blocks = watching.blocks(chosen.visit_q, chosen.visit_loads, executor)
-    measured = _measured(watching, earlier)
+    measured = measured_blocks(watching, earlier)
     known = identifiable(blocks, measured, parameters=watching.parameters)
     own = replace(_pool(watching, chosen, known, blocks, earlier, measured), executor=executor)
     draws = tuple(_at_values(own, replace(study, nominal=values)) for values in drawn)
@@ -123,7 +123,7 @@ def _at_values(pool: Pool, study: Study) -> Pool:
     nominal = pool.observer
     watching = replace(observer(study, own_visits=nominal.own_visits), reference=nominal.reference)
     blocks = watching.blocks(pool.candidates.visit_q, pool.candidates.visit_loads, pool.executor)
-    measured = _measured(watching, pool.earlier)
+    measured = measured_blocks(watching, pool.earlier)
     return _pool(watching, pool.candidates, pool.known, blocks, pool.earlier, measured)
 
 
@@ -133,7 +133,7 @@ def _equal(first: Floats, second: Floats) -> bool:
     return all(np.allclose(first[part], second[part], rtol=1e-9, atol=0.0) for part in parts)
 
 
-def _measured(watching: Observer, earlier: Earlier) -> Floats | None:
+def measured_blocks(watching: Observer, earlier: Earlier) -> Floats | None:
     """(V, k, p) blocks of what was measured, whose visits are as they were, whatever those of the plan will be."""
     if earlier.measured is None:
         return None

@@ -110,12 +110,15 @@ class Refinement:
 
 
 def can_refine(observer: Observer, criterion: str = "test_pose") -> str | None:
-    """Why plans of this observer cannot be refined under this criterion, or None if they can."""
+    """Why symbolic derivatives cannot move plans of this observer under this criterion, or None if they can.
+
+    Plans of one arm are then moved by differences of their blocks, see `doe.polish`.
+    """
     missing = missing_columns(observer)
     if missing:
-        return f"effect {', '.join(missing)} has no symbolic columns; the plan stays on the grid of candidates"
+        return f"effect {', '.join(missing)} has no symbolic columns"
     if criterion == "E":
-        return "criterion E has no derivative where the smallest eigenvalue repeats; the plan stays on the grid"
+        return "criterion E has no derivative where the smallest eigenvalue repeats"
     return None
 
 

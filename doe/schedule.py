@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from doe.drift import Leftover, Yardstick, drift_of_readings, leftover, typical_drift
 from doe.lifts import NOTHING, Fewest, lifts_of
+from doe.moves import free_moves
 from doe.observations import Observer
-from doe.order import Order, Pace, Visits, as_found
+from doe.order import Order, Pace, Visits, as_found, measured
 from doe.order_search import best_order
 from doe.travel import Free, travel_between
 from identify.arrays import Floats, Ints, frozen
@@ -39,6 +41,8 @@ class Schedule:
         travel_s: Time of all moves, s.
         travel_deg: Sum over the moves of the largest turn of a joint, deg.
         detours: Moves that go over the home pose.
+        blocked: Visits, from 0 in this order, to which the straight move from the one before is not free and no home
+            pose leads around; counted as if it were driven.
         unit: Of what drift leaves: mm at the test poses, or standard deviations.
         left: What drift leaves.
         as_found: What it would leave with the visits as they were chosen, the unloaded state always first.
@@ -56,6 +60,7 @@ class Schedule:
     travel_s: float
     travel_deg: float
     detours: int
+    blocked: Ints
     unit: str
     left: Leftover
     as_found: Leftover
@@ -65,7 +70,7 @@ class Schedule:
         """Make the arrays read-only."""
         for key in ("q", "times"):
             object.__setattr__(self, key, frozen(getattr(self, key)))
-        for key in ("visit_loads", "experiment"):
+        for key in ("visit_loads", "experiment", "blocked"):
             object.__setattr__(self, key, frozen(getattr(self, key), np.int64))
 
     @property
@@ -107,13 +112,16 @@ def schedule(
         gain: (r, p_a) of `doe.drift.drift_of_readings`.
         measure: What a drift is measured by.
         seed: Seed of the search.
-        home: (joints,) where the robot comes from and goes around obstacles, or None.
-        free: Which moves between poses are free, or None: all are.
+        home: (joints,) where the robot comes from and goes around obstacles; None: the home of the constraints.
+        free: Which moves between poses are free; None: what the constraints say (`doe.moves.free_moves`). Without
+            any home pose the moves that are not, and that no order avoids, are then told in ``blocked``.
 
     Raises:
-        Infeasible: No order avoids moves that are not free.
+        Infeasible: A home pose or ``free`` is given, and no order avoids moves that are not free.
     """
     study, times = observer.study, observer.study.times
+    home = study.constraints.home if home is None else home
+    refused = home is not None or free is not None
     drift = drift_of_readings(observer, q, visit_loads, kept, gain)
     experiment = np.arange(len(q))
     if observer.own_visits:
@@ -121,14 +129,12 @@ def schedule(
         q, visit_loads = q[experiment], visit_loads.reshape(-1, 1)
         drift = drift.reshape(-1, 1, *drift.shape[2:])
     unloaded = np.array([load.unloaded for load in study.loads])
-    speeds = {} if times is None else {"speed": times.speed, "speed_slide": times.speed_slide}
-    travel = travel_between(
-        q,
-        study.robot.prismatic,
+    speed, speed_slide = (np.inf, np.inf) if times is None else (times.speed, times.speed_slide)
+    straight = partial(travel_between, q, study.robot.prismatic, speed=speed, speed_slide=speed_slide)
+    travel = straight(
         home=home,
-        free=free,
+        free=partial(free_moves, study) if free is None else free,
         hung=np.isin(np.arange(len(unloaded)), visit_loads) & ~unloaded,
-        **speeds,
     )
     visits = Visits(
         visit_loads,
@@ -141,8 +147,13 @@ def schedule(
     )
     order, fewest = best_order(visits, np.random.default_rng([_SEED, seed]))
     naive = as_found(visits)
-    names = full_experiment(q[order.visit], visit_loads, study.loads, study.markers).visits
-    travel.check(order.visit, order.carried, names, str(study.path))
+    blocked = travel.blocked(order.visit, order.carried)
+    if refused:
+        names = full_experiment(q[order.visit], visit_loads, study.loads, study.markers).visits
+        travel.check(order.visit, order.carried, names, str(study.path))
+    elif len(blocked):
+        travel = straight()
+        order = measured(replace(visits, travel=travel), order.visit, order.reading)
     seconds, degrees, detours = travel.along(order.visit, order.carried)
     return Schedule(
         q=q[order.visit],
@@ -156,6 +167,7 @@ def schedule(
         travel_s=seconds,
         travel_deg=degrees,
         detours=detours,
+        blocked=blocked,
         unit=measure.unit,
         left=leftover(_effect(drift, order)),
         as_found=leftover(_effect(drift, naive)),

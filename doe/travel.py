@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -57,6 +56,16 @@ class Travel:
         move = self.move(hung, np.append(self.seconds.shape[1] - 1, visits[:-1]), visits)
         return float(self.seconds[move].sum()), float(self.degrees[move].sum()), int(self.detour[move].sum())
 
+    def blocked(self, visits: Ints, hung: Ints) -> Ints:
+        """Places in a route, from 0, that there is no way to from the one before.
+
+        Args:
+            visits: (V,) poses in the order of visiting.
+            hung: (V,) what hangs on the way to each of them.
+        """
+        move = self.move(hung, np.append(self.seconds.shape[1] - 1, visits[:-1]), visits)
+        return np.flatnonzero(~np.isfinite(self.length[move]))
+
     def check(self, visits: Ints, hung: Ints, names: tuple[str, ...], source: str) -> None:
         """Refuse a route with a move that is not possible.
 
@@ -69,9 +78,8 @@ class Travel:
         Raises:
             Infeasible: A move is blocked; the message names all of them.
         """
-        move = self.move(hung, np.append(self.seconds.shape[1] - 1, visits[:-1]), visits)
-        steps = zip(pairwise(("home", *names)), np.isfinite(self.seconds[move]), strict=True)
-        blocked = [f"{first} to {second}" for (first, second), possible in steps if not possible]
+        stops = ("home", *names)
+        blocked = [f"{stops[place]} to {stops[place + 1]}" for place in self.blocked(visits, hung)]
         if blocked:
             raise Infeasible(
                 f"{source}: no order of the visits avoids moves that collide: {', '.join(blocked)}; state a home pose "

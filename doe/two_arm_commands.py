@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,19 +27,23 @@ from doe.judgement import (
     weakest,
 )
 from doe.objective import Objective
-from doe.order_report import approach_json, conditions_of, in_turn, order_json, order_lines
+from doe.order_report import approach_json, conditions_of, in_turn, order_json, order_lines, order_notes
 from doe.schedule import time_as_given
 from doe.two_arm_plan import TwoArmEvaluation, TwoArmPlan, evaluate_both, plan_for_both, relative_accuracy
 from identify.arrays import Floats
 from identify.commands import Outcome
 from identify.errors import InputError
+from identify.experiment import Experiment
 from identify.tables import load_plan, plan_csv, plan_experiment
 from identify.two_arm_config import load_two_arm_study
 from identify.two_arm_study import TwoArmStudy
 
 __all__ = ["run_evaluate_both", "run_plan_for_both"]
 
-_APART = "poses are checked for each arm alone: keep the arm that is not measured out of the way, unloaded and still"
+_APART = (
+    "collisions between the two arms are not checked, poses are checked for each arm alone: keep the arm that is not "
+    "measured out of the way, unloaded and still"
+)
 
 
 def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_FILES) -> Outcome:
@@ -47,24 +52,21 @@ def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_
     Raises:
         InputError: The file is wrong, or something that was measured before is named.
     """
-    if before != NO_FILES:
-        raise InputError(
-            f"{study_file}: --measured, --result, --earlier and --unreachable belong to a study of one arm; this one "
-            "has [[arms]]. Plan for the study of the arm that is measured, which stands under [[arms]] study"
-        )
+    _without_earlier(study_file, before)
     study = load_two_arm_study(study_file)
     made = plan_for_both(study, seed=seed)
     pool, arms = made.pool, made.choice.arms
     reached = relative_accuracy(study, pool.objective, made.covariance)
-    visits = [len(own.q) for own in arms]
+    counted = [len(own.q) for own in arms]
+    ordered = [conditions_of(own, arm.study) for own, arm in zip(made.schedules, study.arms, strict=True)]
     compared = efficiencies(pool.objective, pool.blocks, made.choice.own, repeats=pool.observer.settings.repeats)
     content = {
         **judgement(pool.observer, pool.known, pool.objective, made.final, reached),
         "grid": bound_json(made.grid),
         "efficiencies": dict(compared.by_criterion),
         "efficiencies_candidates": compared.candidates,
-        "poses": sum(visits),
-        "arms": _by_arm(study, visits),
+        "poses": sum(counted),
+        "arms": _by_arm(study, counted),
         "different_poses": sum(len(np.unique(own.q, axis=0)) for own in arms),
         "refinement": _refinement(made),
         "joint_only": None,
@@ -73,15 +75,14 @@ def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_
         "curve": _curve_of_plan(study, made, seed),
         "time_s": in_turn(own.time for own in made.schedules if own is not None),
         "order": {
-            arm.name: None if own is None else order_json(own)
-            for arm, own in zip(study.arms, made.schedules, strict=True)
+            arm.name: None if own is None else order_json(own, visits.visits)
+            for arm, own, visits in zip(study.arms, made.schedules, ordered, strict=True)
         },
         "approach_deg": _by_arm(study, [approach_json(arm.study) for arm in study.arms]),
-        "notes": [*made.choice.notes, _APART],
+        "notes": [*made.choice.notes, *_order_notes(study, made, ordered), _APART],
     }
     tables = {
-        _plan_name(arm.name): plan_csv(conditions_of(own, arm.study), arm.study)
-        for arm, own in zip(study.arms, made.schedules, strict=True)
+        _plan_name(arm.name): plan_csv(visits, arm.study) for arm, visits in zip(study.arms, ordered, strict=True)
     }
     lines = [*_lines(content)]
     for arm, own in zip(study.arms, made.schedules, strict=True):
@@ -89,8 +90,13 @@ def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_
     return Outcome("plan", content, study.inputs, tables, tuple(lines))
 
 
-def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:
-    """Judge the pose files of both arms, which stand in one folder."""
+def run_evaluate_both(study_file: Path, folder: Path, *, seed: int, before: EarlierFiles = NO_FILES) -> Outcome:
+    """Judge the pose files of both arms, which stand in one folder.
+
+    Raises:
+        InputError: A file is wrong or missing, or something that was measured before is named.
+    """
+    _without_earlier(study_file, before)
     study = load_two_arm_study(study_file)
     files = _plan_files(study, folder)
     experiments = [
@@ -114,7 +120,7 @@ def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:
         "curve": _curve_of_poses(study, judged, seed),
         "confusability": _by_arm(study, confused),
         "time_s": in_turn(time_as_given(arm.study, e) for arm, e in zip(study.arms, experiments, strict=True)),
-        "notes": [],
+        "notes": [_APART],
     }
     lines = list(_lines(content))
     for arm, found in zip(study.arms, confused, strict=True):
@@ -122,9 +128,31 @@ def run_evaluate_both(study_file: Path, folder: Path, *, seed: int) -> Outcome:
     return Outcome("evaluate", content, (*study.inputs, *files), {}, tuple(lines))
 
 
+def _without_earlier(study_file: Path, before: EarlierFiles) -> None:
+    """Refuse what was measured before.
+
+    Raises:
+        InputError: Something is named.
+    """
+    if before != NO_FILES:
+        raise InputError(
+            f"{study_file}: --measured, --result, --earlier and --unreachable belong to a study of one arm; this one "
+            "has [[arms]]. Take the study of the arm that is measured, which stands under [[arms]] study"
+        )
+
+
 def _by_arm(study: TwoArmStudy, values: Any) -> dict[str, Any]:
     """One value for each arm, by its name."""
     return {arm.name: value for arm, value in zip(study.arms, values, strict=True)}
+
+
+def _order_notes(study: TwoArmStudy, made: TwoArmPlan, ordered: Sequence[Experiment]) -> list[str]:
+    """Moves of each arm that must not be driven straight."""
+    return [
+        f"{arm.name}: {note}"
+        for arm, own, visits in zip(study.arms, made.schedules, ordered, strict=True)
+        for note in order_notes(own, visits.visits)
+    ]
 
 
 def _plan_name(arm: str) -> str:

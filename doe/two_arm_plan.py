@@ -13,7 +13,6 @@ from doe.bounds import Bound, bound_of
 from doe.candidates import Candidates
 from doe.drift import yardstick
 from doe.information import covariance_of, information_of
-from doe.moves import stated_moves
 from doe.objective import Objective, objective
 from doe.observations import identifiable, keep_columns, stacked_visits
 from doe.schedule import Schedule, schedule
@@ -124,11 +123,9 @@ def _schedules(pool: TwoArmPool, choice: TwoArmChoice, information: Floats, seed
     for side, own in enumerate(choice.arms):
         kept, place = kept_of(pool.observer, pool.known, side)
         arm = pool.observer.arms[side]
-        cell = arm.study.constraints
         ordered = None
         if len(own.q):
-            ordered = schedule(arm, own.q, own.visit_loads, kept, gain[:, place], measure, seed=seed, home=cell.home,
-                               free=stated_moves(arm.study))  # fmt: skip
+            ordered = schedule(arm, own.q, own.visit_loads, kept, gain[:, place], measure, seed=seed)
         found.append(ordered)
     return tuple(found)
 

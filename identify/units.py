@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["DEG", "GPA", "HOUR", "MM", "MRAD", "PPM", "SI_OF", "UM", "URAD"]
+__all__ = ["DEG", "GPA", "HOUR", "MM", "MRAD", "PPM", "SI_OF", "UM", "URAD", "clock"]
 
 MM = 1e-3
 UM = 1e-6
@@ -43,3 +43,9 @@ SI_OF = {
     "mm/h": MM / HOUR,
     "mrad/h": MRAD / HOUR,
 }
+
+
+def clock(seconds: float) -> str:
+    """A time in s as hours and minutes."""
+    hours, minutes = divmod(round(seconds / 60.0), 60)
+    return f"{hours} h {minutes:02d} min"

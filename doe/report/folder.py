@@ -1,4 +1,4 @@
-"""What stands in a folder of results: JSON of the commands, the table of residuals, and the poses to measure next."""
+"""What stands in a folder of results: JSON of the commands, and the tables beside it that the report shows."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from identify.errors import InputError
 from identify.problems import Problems
 from identify.results import SCHEMA, recover
 
-__all__ = ["COMMANDS", "Entry", "Folder", "Residuals", "read_folder"]
+__all__ = ["COMMANDS", "Entry", "Folder", "Residuals", "Targets", "read_folder"]
 
 #: Results that a report shows, in the order in which they are made.
-COMMANDS = ("plan", "evaluate", "identify", "diagnose", "predict", "reduce")
+COMMANDS = ("plan", "evaluate", "identify", "diagnose", "compensate", "predict", "reduce")
 _RESIDUALS = "residuals.csv"
+_TARGETS = "compensated.csv"
 _AXES = ("x", "y", "z")
 
 
@@ -140,6 +141,25 @@ class Residuals:
 
 
 @dataclass(frozen=True, eq=False)
+class Targets:
+    """Targets of a program before and after compensation.
+
+    Attributes:
+        name: (T,) ids.
+        deflection: (T,) predicted error before, mm.
+        residual: (T,) predicted error after, mm.
+        radius95: (T,) radius of what the parameters leave open, mm.
+        extrapolated: (T,) True outside the calibrated poses and loads.
+    """
+
+    name: np.ndarray
+    deflection: Floats
+    residual: Floats
+    radius95: Floats
+    extrapolated: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Folder:
     """The results of a folder.
 
@@ -147,12 +167,16 @@ class Folder:
         results: Content by command.
         residuals: None if the table is not there or has no rows without faults.
         next_poses: The poses to measure next, None if there are none.
+        plans: The files of the plan by name, those that are there.
+        compensated: The compensated targets, None if the table is not there.
         inputs: Every file that was read.
     """
 
     results: Mapping[str, Entry]
     residuals: Residuals | None
     next_poses: CsvTable | None
+    plans: Mapping[str, CsvTable]
+    compensated: Targets | None
     inputs: tuple[Path, ...]
 
 
@@ -181,7 +205,13 @@ def read_folder(path: Path) -> Folder:
             residuals = _residuals(path / _RESIDUALS)
         further = _next_poses(path, results["diagnose"])
         inputs += [] if further is None else [further.path]
-    return Folder(results, residuals, further, tuple(inputs))
+    plans = _plans(path, results["plan"]) if "plan" in results else {}
+    inputs += [plan.path for plan in plans.values()]
+    compensated = None
+    if "compensate" in results and (path / _TARGETS).is_file():
+        inputs.append(path / _TARGETS)
+        compensated = _targets(path / _TARGETS)
+    return Folder(results, residuals, further, plans, compensated, tuple(inputs))
 
 
 def _result(file: Path) -> Entry:
@@ -232,6 +262,39 @@ def _residuals(file: Path) -> Residuals | None:
 def _next_poses(path: Path, diagnosis: Entry) -> CsvTable | None:
     """The plan that a diagnosis names, if it stands in the folder."""
     name = diagnosis.get("next_poses")
-    if not isinstance(name, str) or Path(name).name != name or not (path / name).is_file():
-        return None
-    return read_csv(path / name)
+    return read_csv(path / name) if isinstance(name, str) and _beside(path, name) else None
+
+
+def _beside(path: Path, name: str) -> bool:
+    """True for the name of a file in the folder itself."""
+    return Path(name).name == name and (path / name).is_file()
+
+
+def _plans(path: Path, plan: Entry) -> dict[str, CsvTable]:
+    """The files of a plan that have visits: of one robot, or of each of two arms.
+
+    Raises:
+        InputError: A file has no poses or loads.
+    """
+    arms = {"plan.csv": plan.get("poses")}
+    if plan.get("arms") is not None:
+        arms = {f"plan_{arm}.csv": visits for arm, visits in plan.table("arms").items()}
+    plans = {name: read_csv(path / name) for name, visits in arms.items() if visits and _beside(path, name)}
+    for table in plans.values():
+        table.require(["pose", "load"])
+    return plans
+
+
+def _targets(file: Path) -> Targets:
+    """The table of compensated targets.
+
+    Raises:
+        InputError: Columns are missing or cells are no numbers.
+    """
+    table = read_csv(file)
+    columns = ["deflection_mm", "residual_mm", "residual_ci95_mm", "extrapolated"]
+    table.require(["target", *columns])
+    problems = Problems(file)
+    before, after, radius, outside = table.numbers(columns, problems).T
+    problems.settle()
+    return Targets(np.array(table.cells["target"]), before, after, radius, outside != 0)

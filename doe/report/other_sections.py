@@ -4,47 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from doe.report.folder import Entry, Folder
+from doe.report.compensation_section import compensation_section
+from doe.report.folder import Folder
 from doe.report.page import Markup, element, joined, table
-from doe.report.pictures import accuracy_curve
-from doe.report.words import number
+from doe.report.plan_section import evaluate_section, plan_section
+from doe.report.words import millimetres, number
 
 __all__ = ["other_sections", "provenance_section"]
 
 
 def other_sections(folder: Folder) -> list[Markup]:
-    """Plan, evaluation, identification, prediction and reduction, where they stand."""
-    return [joined(element("h2", title), show(folder.results[command])) for command, (title, show) in _SHOWN.items()
+    """Plan, evaluation, identification, compensation, prediction and reduction, where they stand."""
+    return [joined(element("h2", title), show(folder)) for command, (title, show) in _SHOWN.items()
             if command in folder.results]  # fmt: skip
 
 
-def _judged(result: Entry) -> Markup:
-    """A plan, or poses that were judged."""
-    criterion = result.table("criterion")
-    rows = [
-        ("experiments", str(result["poses"])),
-        ("different poses", str(result["different_poses"])),
-        ("parameters", str(result["rank"])),
-        ("reference", result["reference"]),
-        ("expected error at the test poses, rms", _mm(criterion["rms_mm"])),
-        ("the same with the robot's repeatability", _mm(criterion["rms_total_mm"])),
-        (f"criterion {criterion['name']}", f"{number(criterion['value'], 5)} {criterion.get('unit', '')}"),
-        ("proven lower bound", number(result["bound"], 5)),
-        ("efficiency, proven", f"{number(100 * result.number('efficiency'), 4)} %"),
-        ("not identifiable", ", ".join(result.texts("nonidentifiable")) or "none"),
-    ]
-    told = table(("", ""), rows, words=(0, 1))
-    points = result.tables("curve") if result.get("curve") else []
-    shown = sum(point["bound_mm"] is not None for point in points) > 1
-    return joined(told, accuracy_curve(points)) if shown else told
-
-
-def _mm(value: object) -> str:
-    return "–" if value is None else f"{number(value)} mm"
-
-
-def _identified(result: Entry) -> Markup:
+def _identified(folder: Folder) -> Markup:
     """Parameters with intervals, and the errors."""
+    result = folder.results["identify"]
     rows = [
         (
             element("code", p["name"]),
@@ -56,8 +33,8 @@ def _identified(result: Entry) -> Markup:
         if not p["nuisance"]
     ]
     heldout = result["heldout"]
-    errors = f"Error after the fit: {_mm(result.table('residual')['rms_mm'])} rms"
-    errors += "" if heldout is None else f"; on {heldout['poses']} held-out poses {_mm(heldout['rms_mm'])}"
+    errors = f"Error after the fit: {millimetres(result.table('residual')['rms_mm'])} rms"
+    errors += "" if heldout is None else f"; on {heldout['poses']} held-out poses {millimetres(heldout['rms_mm'])}"
     return joined(
         element("p", f"{errors}. Intervals from {result['covariance_kind']}; reference {result['reference']}."),
         table(("parameter", "value", "unit", "95 % interval"), rows, words=(0, 2)),
@@ -65,17 +42,19 @@ def _identified(result: Entry) -> Markup:
     )
 
 
-def _predicted(result: Entry) -> Markup:
+def _predicted(folder: Folder) -> Markup:
     """How sure the prediction is."""
+    result = folder.results["predict"]
     return element(
         "p",
-        f"{result['rows']} readings predicted in predicted.csv; standard deviation {_mm(result['std_rms_mm'])} rms, "
-        f"{_mm(result['std_max_mm'])} at most.",
+        f"{result['rows']} readings predicted in predicted.csv; standard deviation "
+        f"{millimetres(result['std_rms_mm'])} rms, {millimetres(result['std_max_mm'])} at most.",
     )
 
 
-def _reduced(result: Entry) -> Markup:
+def _reduced(folder: Folder) -> Markup:
     """The chain of reductions."""
+    result = folder.results["reduce"]
     chain, groups = dict(result.table("chain").items()), dict(result.table("groups").items())
     return joined(
         table(list(chain), [[str(size) for size in chain.values()]], words=()),
@@ -83,10 +62,11 @@ def _reduced(result: Entry) -> Markup:
     )
 
 
-_SHOWN: dict[str, tuple[str, Callable[[Entry], Markup]]] = {
-    "plan": ("The plan", _judged),
-    "evaluate": ("Poses that were judged", _judged),
+_SHOWN: dict[str, tuple[str, Callable[[Folder], Markup]]] = {
+    "plan": ("The plan", plan_section),
+    "evaluate": ("Poses that were judged", evaluate_section),
     "identify": ("The identification", _identified),
+    "compensate": ("What compensation changed", compensation_section),
     "predict": ("The prediction", _predicted),
     "reduce": ("The reduction of the model", _reduced),
 }

@@ -99,6 +99,11 @@ def length(value: Any) -> str:
     return f"{value:#.3g}".rstrip(".").replace("-", "−")
 
 
+def millimetres(value: Any) -> str:
+    """A length with its unit; a dash for what is none."""
+    return "–" if value is None else f"{number(value)} mm"
+
+
 def probability(value: Any) -> str:
     """A probability: ``p = 0.02``, or a bound where it is too small to tell."""
     if not isinstance(value, int | float):

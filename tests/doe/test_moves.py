@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from doe.commands import run_plan
 from doe.gaps import gaps_of
 from doe.lifts import NOTHING, hung_states
 from doe.moves import STEP, free_moves
@@ -18,8 +19,10 @@ from identify.config import load_study
 from identify.errors import InputError
 from identify.kinematics import forward
 from identify.loads import LoadCase
+from identify.tables import load_plan, plan_experiment
 from identify.units import DEG
 from tests.doe.cell_cases import BLOCK, CABINET, UNLOADED, cell, poses
+from tests.doe.study_files import KR270, study_file
 
 CELL = Path(__file__).parents[2] / "configs" / "studies" / "kr270_cell.toml"
 
@@ -105,6 +108,52 @@ def test_moves_of_a_plan_are_free_with_what_hangs_on_the_way():
             free_moves(study, q[visit], home, hung)[0] and free_moves(study, home, q[visit + 1], hung)[0]
         )
     assert free_moves(study, home, q[0])[0]
+
+
+FENCES = [  # in front and behind; between them the arm turns freely
+    {"name": name, "centre_mm": [x, 0.0, 1500.0], "size_mm": [2400.0, 20.0, 3600.0]}
+    for name, x in (("front", 2000.0), ("rear", -2000.0))
+]
+
+
+def fenced(folder, **constraints):
+    """The summary of a plan among fences, its moves, and which of them are free with what hangs on the way."""
+    path = study_file(
+        folder, KR270, plan={"poses": 6, "candidates": 60, "refine": False, "curve": False, "loads": ["L1", "L2"]},
+        times={"pose_s": 30.0, "speed_deg_s": 10.0}, constraints={"boxes": FENCES, **constraints},
+    )  # fmt: skip
+    outcome, study = run_plan(path, seed=0, out=folder / "out"), load_study(path)
+    (folder / "plan.csv").write_text(outcome.tables["plan.csv"])
+    experiment = plan_experiment(load_plan(folder / "plan.csv", study), study)
+    loads = experiment.shot_load.reshape(len(experiment.visits), -1)
+    states = hung_states(loads, np.array([load.unloaded for load in study.loads]))
+    left, entry = states[:-1, -1], states[1:, 0]
+    free = []
+    for k, (leaves, enters) in enumerate(zip(left, entry, strict=True)):
+        hung = np.array([leaves]) if leaves == enters != NOTHING else None
+        free.append(bool(free_moves(study, experiment.q[k], experiment.q[k + 1], hung)[0]))
+    return outcome.content, experiment, np.array(free)
+
+
+def test_moves_are_looked_at_without_a_home_pose_and_those_that_collide_are_named(tmp_path):
+    """A fence parts the poses; nobody said where a way around is, so the plan stands and says what not to drive."""
+    made, experiment, free = fenced(tmp_path)
+    named = [tuple(pair) for pair in made["order"]["blocked"]]
+    names = experiment.visits
+    assert named == [(names[k], names[k + 1]) for k in np.flatnonzero(~free)]
+    assert 0 < len(named) < len(names) - 1
+    assert any(f"{named[0][0]} to {named[0][1]}" in note and "home_deg" in note for note in made["notes"])
+    turned = np.abs(np.diff(experiment.q, axis=0)).max(axis=1) / DEG
+    assert made["order"]["travel_deg"] == pytest.approx(turned.sum())
+    assert made["time_s"] == pytest.approx(6 * 30.0 + turned.sum() / 10.0)
+
+
+def test_poses_on_one_side_of_a_fence_are_joined_by_free_moves(tmp_path):
+    wall = {"name": "side", "point_mm": [0.0, -400.0, 0.0], "normal": [0.0, 1.0, 0.0]}
+    made, _, free = fenced(tmp_path, walls=[wall])
+    assert made["order"]["blocked"] == []
+    assert free.all()
+    assert not any("home_deg" in note for note in made["notes"])
 
 
 def test_a_weight_that_cannot_go_along_is_taken_off_for_the_way():

@@ -414,6 +414,145 @@ def test_every_result_of_a_folder_has_its_section(tmp_path):
     ]  # fmt: skip
 
 
+# --- a plan and compensated targets
+
+
+def plan_content(**changes):
+    """The content of a plan.json with everything that a report shows."""
+    drift = {"unit": "mm", "per_mm_h": 0.0058, "per_mrad_h": 0.018}
+    order = {
+        "visits": 2, "lifts": 3, "lifts_fewest": 2, "lifts_proven": True, "travel_deg": 40.5, "travel_s": 4.0,
+        "detours": 1, "blocked": [], "drift_leftover": drift,
+        "as_found": {"lifts": 4, "drift_leftover": {**drift, "per_mm_h": 0.077}},
+    }  # fmt: skip
+    point = {"bound_mm": 0.02, "plan_mm": 0.021, "random_mm": 0.05}
+    return {
+        "criterion": {"name": "test_pose", "value": 3.2e-5, "unit": "mm^2", "rms_mm": 0.0057, "rms_total_mm": 0.0395},
+        "poses": 2, "different_poses": 2, "rank": 5, "reference": "differences", "bound": 3.1e-5, "efficiency": 0.9701,
+        "efficiency_continuous": 0.9402, "efficiencies": {"A": 0.7103, "E": None}, "nonidentifiable": [],
+        "measured": {"visits": 6, "rms_mm": 0.009}, "time_s": 8100.0, "order": order, "candidates": 321,
+        "rejected": {"floor": 12, "walls": 0, "boxes": 345}, "notes": ["mind the gap"],
+        "curve": [{"poses": 1, **point}, {"poses": 2, **point}], "provenance": diagnosis()["provenance"], **changes,
+    }  # fmt: skip
+
+
+VISITS = "pose,load,q1_deg,time_s\nP007,L0,12.345678,60.0\nP007,W1,12.345678,90.0\nP008,W1,-3.000000,150.0\n"
+
+
+def reported(folder, **files):
+    """The report of a folder with these files: JSON as content, tables as text."""
+    for name, content in files.items():
+        text = content if isinstance(content, str) else json_text(content)
+        (folder / f"{name}.{'csv' if isinstance(content, str) else 'json'}").write_text(text)
+    assert run(["report", str(folder)]) == 0
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def cells(text):
+    """The texts of the rows of all tables, a tuple a row."""
+    rows = re.findall(r"<tr>(.*?)</tr>", text, flags=re.S)
+    return [tuple(re.sub(r"<[^>]*>", "", cell) for cell in re.findall(r"<td[^>]*>(.*?)</td>", row)) for row in rows]
+
+
+def test_a_plan_is_shown_with_order_times_curve_efficiencies_and_refused_candidates(tmp_path):
+    (tmp_path / "plan.csv").write_text(VISITS)
+    text = reported(tmp_path, plan=plan_content())
+    rows = cells(text)
+    assert ("efficiency on the candidates and these poses, proven", "97.01 %") in rows
+    assert ("efficiency over all joint angles, estimated", "94.02 %") in rows
+    assert ("efficiency by each criterion", "A 71.03 %") in rows
+    assert ("beside what was measured", "6 visits, 0.009 mm rms alone") in rows
+    assert ("time to measure it", "2 h 15 min") in rows
+    assert ("crane operations (proven fewest: 2)", "3", "4") in rows
+    assert ("error that a drift of 1 mm/h leaves, mm", "0.0058", "0.077") in rows
+    assert rows.index(("boxes", "345")) < rows.index(("floor", "12")), "most frequent first"
+    assert "walls" not in text
+    visits = [row for row in rows if row and row[0].startswith("P0")]
+    assert visits == [("P007", "L0, W1", "12.35", "60.00"), ("P008", "W1", "-3.00", "150.00")]
+    assert "<svg" in text
+    assert "mind the gap" in text
+    assert set(json.loads((tmp_path / "report.json").read_text())["provenance"]["inputs"]) == {"plan.json", "plan.csv"}
+
+
+def test_a_plan_of_two_arms_has_an_order_for_each(tmp_path):
+    own = plan_content()["order"]
+    (tmp_path / "plan_R1.csv").write_text(VISITS)
+    text = reported(tmp_path, plan=plan_content(arms={"R1": 2, "R2": 0, "../x": 1}, order={"R1": own, "R2": None}))
+    assert "Order of measuring, R1" in text
+    assert "Order of measuring, R2" not in text
+    assert "plan_R1.csv, in the order of measuring" in text
+
+
+def test_a_plan_without_visits_needs_no_rows(tmp_path):
+    (tmp_path / "plan.csv").write_text("pose,load,q1_deg\n")
+    text = reported(tmp_path, plan=plan_content(poses=0, order=None, curve=[]))
+    assert "in the order of measuring" not in text
+
+
+def compensation(targets, **changes):
+    """The content of a compensate.json."""
+    return {
+        "targets": targets, "form": "joint", "passes": 3, "deflection": {"rms_mm": 2.57, "max_mm": 3.19},
+        "residual": {"rms_mm": 0.004, "max_mm": 0.012}, "residual_ci95": {"rms_mm": 0.0059, "max_mm": 0.0065},
+        "extrapolated": ["T2"], "notes": ["the sag stays"], "provenance": diagnosis()["provenance"], **changes,
+    }  # fmt: skip
+
+
+def targets_csv(rows):
+    """The text of a compensated.csv; its other columns are of no interest here."""
+    lines = [",".join(map(str, row)) for row in rows]
+    return "\n".join(["target,residual_mm,residual_ci95_mm,deflection_mm,extrapolated", *lines]) + "\n"
+
+
+def test_what_compensation_changed_is_told_target_by_target(tmp_path):
+    table = targets_csv([("T1", 0.0, 0.0053, 2.4031, 0), ("T2", 0.0124, 0.0065, 3.1892, 1)])
+    text = reported(tmp_path, compensate=compensation(2), compensated=table)
+    rows = cells(text)
+    assert ("predicted error before", "2.57 mm", "3.19 mm") in rows
+    assert ("predicted error after, by the model", "0.004 mm", "0.012 mm") in rows
+    assert ("T1", "2.40", "0", "0.00530", "") in rows
+    assert ("T2", "3.19", "0.0124", "0.00650", "extrapolated") in rows
+    assert "extrapolated: T2." in text
+    assert "the sag stays" in text
+    assert Reader(text).open == []
+
+
+def test_of_many_targets_those_are_listed_of_which_most_remains(tmp_path):
+    table = targets_csv([(f"T{i}", i / 1000, 0.001, 2.0, 0) for i in range(200)])
+    rows = cells(reported(tmp_path, compensate=compensation(200, extrapolated=[]), compensated=table))
+    assert [row[0] for row in rows if row and row[0].startswith("T")] == [f"T{i}" for i in range(140, 200)]
+
+
+def test_text_of_plans_and_targets_never_becomes_markup(tmp_path):
+    bad = HOSTILE.replace(",", "").replace('"', "")
+    (tmp_path / "plan.csv").write_text(VISITS.replace("P007", bad).replace("time_s", bad))
+    table = targets_csv([(bad, 0.0, 0.1, 2.0, 1)])
+    content = spoiled(plan_content(rejected={HOSTILE: 3}, efficiencies={HOSTILE: 0.5}))
+    text = reported(tmp_path, plan=content, compensate=spoiled(compensation(1)), compensated=table)
+    page = Reader(text)
+    assert page.open == []
+    assert not page.links
+    assert not {"script", "img"} & set(page.seen)
+    assert bad in page.words
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "said"),
+    [
+        ("compensated", "target,residual_mm\nT1,0.1\n", "missing columns"),
+        ("compensated", targets_csv([("T1", "x", 0.1, 2.0, 0)]), "residual_mm"),
+        ("plan", "pose,q1_deg\nP1,3\n", "missing column load"),
+    ],
+)
+def test_a_malformed_table_of_a_plan_or_of_targets_is_refused(tmp_path, capsys, name, table, said):
+    (tmp_path / "plan.json").write_text(json_text(plan_content()))
+    (tmp_path / "compensate.json").write_text(json_text(compensation(1)))
+    (tmp_path / f"{name}.csv").write_text(table)
+    message = refused(capsys, tmp_path)
+    assert said in message
+    assert f"{name}.csv" in message
+
+
 def test_help_of_the_command(capsys):
     assert run(["report", "--help"]) == 0
     shown = capsys.readouterr().out

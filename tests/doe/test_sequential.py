@@ -309,10 +309,42 @@ def test_wrong_words_are_refused(measured, tmp_path, capsys, monkeypatch, words,
     assert not (tmp_path / "out").exists()
 
 
-def test_two_arms_are_not_continued(tmp_path, capsys):
-    file = write_both(tmp_path)
-    assert run(["plan", str(file), "--unreachable", "P002", "--out", str(tmp_path / "out")]) == 2
+@pytest.mark.parametrize("words", [["plan", "--unreachable", "P002"], ["evaluate", "plans", "--measured", "read.csv"]])
+def test_two_arms_are_not_continued(tmp_path, capsys, words):
+    command, *rest = words
+    assert run([command, str(write_both(tmp_path)), *rest, "--out", str(tmp_path / "out")]) == 2
     assert "belong to a study of one arm" in capsys.readouterr().err
+
+
+def test_poses_are_judged_beside_what_was_measured_as_the_plan_was(measured, tmp_path, capsys):
+    """The further plan, judged from its file, is worth what it was planned to be worth."""
+    words = ["--measured", measured / "read/measurements.csv", "--result", measured / "fit/identify.json"]
+    told, _ = planned(measured, tmp_path / "more", *words)
+    judge = ["evaluate", measured / "study.toml", tmp_path / "more/plan.csv", "--quiet"]
+    for out, more in (("beside", words), ("alone", [])):
+        assert run([*map(str, [*judge, *more, "--out", tmp_path / out])]) == 0
+    found, alone = (json.loads((tmp_path / out / "evaluate.json").read_text()) for out in ("beside", "alone"))
+    assert found["criterion"]["value"] == pytest.approx(told["criterion"]["value"], rel=1e-6)
+    assert found["measured"] == pytest.approx(told["measured"], rel=1e-9)
+    assert found["std"] == pytest.approx(told["std"], rel=1e-6)
+    assert found["bound"] <= found["criterion"]["value"] < alone["criterion"]["value"]
+    assert found["bound"] < alone["bound"], "more information than any plan alone can have"
+    assert found["criterion"]["rms_mm"] < found["curve"][0]["own_mm"] < found["measured"]["rms_mm"]
+    assert alone["measured"] is None
+    assert {"measurements.csv", "identify.json"} <= set(found["provenance"]["inputs"])
+    assert "measured already: 6 visits" in capsys.readouterr().out
+
+
+def test_poses_that_show_too_little_alone_are_judged_beside_what_was_measured(measured, tmp_path):
+    rows = (measured / "plan/plan.csv").read_text().splitlines()
+    (tmp_path / "one.csv").write_text("\n".join(rows[:3]) + "\n")
+    judge = ["evaluate", str(measured / "study.toml"), str(tmp_path / "one.csv"), "--quiet"]
+    told = ["--measured", str(measured / "read/measurements.csv")]
+    assert run([*judge, *told, "--out", str(tmp_path / "out")]) == 0
+    found = json.loads((tmp_path / "out" / "evaluate.json").read_text())
+    assert found["poses"] == 1
+    assert found["rank"] == 5
+    assert found["criterion"]["rms_mm"] < found["measured"]["rms_mm"]
 
 
 def test_orientations_that_the_study_counts_on_must_be_there(measured, tmp_path):
