@@ -58,9 +58,11 @@ class Stacked:
         return int(self.first.size + self.second.size)
 
     def __getitem__(self, key: slice | Ints) -> NDArray[Any]:
-        """Blocks of a slice without steps or of some numbers; those of the first array alone may be a view."""
+        """Blocks of a slice or of some numbers; those of the first array alone may be a view."""
         if isinstance(key, slice):
-            start, stop, _ = key.indices(len(self))
+            start, stop, step = key.indices(len(self))
+            if step != 1:
+                return self[np.arange(start, stop, step)]
             edge = len(self.first)
             own, behind = self.first[start:stop], self.second[max(start - edge, 0) : max(stop - edge, 0)]
             return np.concatenate([own, behind]) if len(behind) else own

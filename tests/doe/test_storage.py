@@ -21,7 +21,7 @@ def test_stacked_blocks_are_read_like_one_array():
     both, whole = stacked(first, second), joined(first, second)
     assert both.shape == whole.shape == (12, 3, 4)
     assert (whole[7:, 2] == 0.0).all()
-    for key in (slice(0, 3), slice(5, 9), slice(8, 20), slice(None), slice(3, 3)):
+    for key in (slice(0, 3), slice(5, 9), slice(8, 20), slice(None), slice(3, 3), slice(None, None, 5), slice(2, 9, 3)):
         np.testing.assert_array_equal(both[key], whole[key])
     np.testing.assert_array_equal(both[np.array([11, 0, 7, 7, 6])], whole[[11, 0, 7, 7, 6]])
     assert stacked(first, second[:0]) is first
