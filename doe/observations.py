@@ -91,19 +91,20 @@ class Observer:
         """In words, why a parameter cannot be identified."""
         return why_not(self.model, dropped)
 
-    def blocks(self, q: Floats, visit_loads: Ints) -> Floats:
+    def blocks(self, q: Floats, visit_loads: Ints, loads: tuple[LoadCase, ...] | None = None) -> Floats:
         """Whitened observation blocks of visits.
 
         Args:
             q: (N, n) joint values, rad or m.
             visit_loads: (N, L) load of each shot of a visit.
+            loads: The loads that these are indices of; None: those of the study.
 
         Returns:
             (N, k, p) rows per unit of each parameter of the observer's model.
         """
         total: Floats | None = None
         for start in range(0, len(q), _CHUNK):
-            part = self._chunk(q[start : start + _CHUNK], visit_loads[start : start + _CHUNK])
+            part = self._chunk(q[start : start + _CHUNK], visit_loads[start : start + _CHUNK], loads)
             if total is None:
                 total = np.empty((len(q), *part.shape[1:]))
             total[start : start + len(part)] = part
@@ -111,8 +112,8 @@ class Observer:
             raise InputError(f"{self.study.path}: no poses to observe")
         return total
 
-    def _chunk(self, q: Floats, visit_loads: Ints) -> Floats:
-        return stacked_visits(self, full_experiment(q, visit_loads, self.study.loads, self.study.markers))
+    def _chunk(self, q: Floats, visit_loads: Ints, loads: tuple[LoadCase, ...] | None) -> Floats:
+        return stacked_visits(self, full_experiment(q, visit_loads, loads or self.study.loads, self.study.markers))
 
 
 def observer(study: Study, *, own_visits: bool = False) -> Observer:

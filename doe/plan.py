@@ -16,6 +16,7 @@ from doe.drift import yardstick
 from doe.earlier import NOTHING, Earlier
 from doe.guard import Guard
 from doe.information import covariance_of
+from doe.load_settings import with_settings
 from doe.moves import stated_moves
 from doe.pool import Pool, build_pool
 from doe.purse import prices
@@ -97,7 +98,7 @@ def plan(
         NotIdentifiable: The criterion needs what no candidate shows, or n is too small.
         Infeasible: No candidate keeps to the constraints, or no plan meets the tolerance or fits into the budget.
     """
-    study, decision = decide(study, seed=seed)
+    study, decision = decide(with_settings(study, seed), seed=seed)
     made = partial(_planned, seed=seed, earlier=earlier, home=home, free=free)
     return replace(_better(study, made) if study.plan.references == "auto" else made(study), decision=decision)
 
@@ -107,7 +108,7 @@ def _planned(study: Study, *, seed: int, earlier: Earlier, home: Floats | None, 
     pool = build_pool(study, seed, earlier)
 
     def scheduled(choice: Choice) -> Schedule | None:
-        return scheduled_choice(pool, choice, seed, home=home, free=free) if len(choice.q) else None
+        return scheduled_choice(choice, seed, home=home, free=free) if len(choice.q) else None
 
     bought = None
     reach = reach_of(pool, seed) if study.plan.refine and all_poses_count(pool) else None
@@ -118,16 +119,15 @@ def _planned(study: Study, *, seed: int, earlier: Earlier, home: Floats | None, 
         choice = sufficient(pool, seed, reach)
     else:
         choice = choose(pool, study.plan.poses, seed, reach)
-    return _proven(pool, choice, scheduled(choice) if bought is None else bought.schedule, bought, reach)
+    return _proven(choice, scheduled(choice) if bought is None else bought.schedule, bought, reach)
 
 
 def scheduled_choice(
-    pool: Pool, choice: Choice, seed: int, *, home: Floats | None = None, free: Free | None = None
+    choice: Choice, seed: int, *, home: Floats | None = None, free: Free | None = None
 ) -> Schedule:
     """Put the experiments of a choice in the order of measuring.
 
     Args:
-        pool: What it was chosen from.
         choice: The experiments, at least one.
         seed: Seed of the search.
         home: (joints,) where the robot comes from and goes around obstacles; None: the home of the constraints.
@@ -136,6 +136,7 @@ def scheduled_choice(
     Raises:
         Infeasible: No order avoids moves that are not free.
     """
+    pool = choice.pool
     study, kept = pool.observer.study, pool.known.kept
     covariance = covariance_of(pool.information(choice.own))
     measure = yardstick(pool.objective, covariance)
@@ -152,8 +153,9 @@ def scheduled_choice(
     )
 
 
-def _proven(pool: Pool, choice: Choice, ordered: Schedule | None, bought: Bought | None, reach: Reach | None) -> Plan:
+def _proven(choice: Choice, ordered: Schedule | None, bought: Bought | None, reach: Reach | None) -> Plan:
     """The finished plan, with what is proven about it; its experiments stand as they are first visited."""
+    pool = choice.pool
     study, count = pool.observer.study, len(choice.q)
     purse = None if bought is None else bought.purse
     paid = np.zeros(count)
