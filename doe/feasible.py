@@ -27,7 +27,7 @@ import numpy as np
 from doe.distances import segment_distance
 from doe.gaps import Gaps, gaps_of
 from doe.hung_frames import Hung, placed
-from doe.statics import Statics, overload, statics
+from doe.statics import Statics, statics
 from doe.visibility import sight
 from identify.arrays import Floats, Ints, frozen
 from identify.errors import InputError
@@ -114,10 +114,8 @@ class Screen:
 
         Not above 0 where they do not. Reasons that are not there have no measure.
         """
-        found: dict[str, Callable[[Frames], Floats]] = {
-            reason: lambda frames, gap=gap: -gap(frames) for reason, gap in self.gaps.by_reason.items()
-        }
-        return found | {"payload": self.limits.overload, "torque": self.limits.excess}
+        inside = {reason: _inside(gap) for reason, gap in self.gaps.by_reason.items()}
+        return inside | {"payload": self.limits.overload, "torque": self.limits.excess}
 
     def codes(self, q: Floats, hung: Hung | None = None) -> np.ndarray:
         """First reason against each load at each pose.
@@ -203,6 +201,11 @@ def screen(study: Study) -> Screen:
 def _broken(gap: Callable[[Frames], Floats]) -> Test:
     """The test of a gap."""
     return lambda _, frames: np.asarray(gap(frames) < -_ROUNDING)
+
+
+def _inside(gap: Callable[[Frames], Floats]) -> Callable[[Frames], Floats]:
+    """By how much a gap is broken."""
+    return lambda frames: -gap(frames)
 
 
 def _of_frames(test: Callable[[Frames], np.ndarray]) -> Test:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from identify.arrays import Floats, Ints
 from identify.kinematics import Frames, forward
 from identify.robot import Robot
@@ -52,7 +50,7 @@ def placed(robot: Robot, q: Floats, hung: Hung | None) -> Frames:
 
 
 def attach_points(frames: Frames, stated: Floats) -> Floats:
-    """Attach points in the flange frame, m: those of each pose (V, L, 3), or the ``stated`` ones (L, 3) as (1, L, 3)."""
+    """Attach points, flange frame, m: those of each pose (V, L, 3), or the ``stated`` ones (L, 3) as (1, L, 3)."""
     return frames.hung.attach if isinstance(frames, HungFrames) else stated[None]
 
 
@@ -64,4 +62,4 @@ def masses(frames: Frames, stated: Floats) -> Floats:
 def _with(frames: Frames, hung: Hung) -> HungFrames:
     """Frames with what hangs there."""
     arrays = (frames.rotation, frames.origin, frames.centre, frames.flange_rotation, frames.flange_origin)
-    return HungFrames(frames.robot, *(np.asarray(array) for array in arrays), hung)
+    return HungFrames(frames.robot, *arrays, hung=hung)

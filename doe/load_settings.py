@@ -1,8 +1,8 @@
 """Settings of a load whose mass and attach point are open: which of them candidates try, and what can be hung.
 
-Values are rows (mass in kg, attach point x, y, z in m). A *share* says where a value lies in its range, 0 to 1; that of a
-mass is counted up to the largest that payload and payload diagram allow at the attach point, so that a search may follow
-their limit. A setting is a load of its own: everything that looks at loads looks at settings.
+Values are rows (mass in kg, attach point x, y, z in m). A *share* says where a value lies in its range, 0 to 1; that of
+a mass is counted up to the largest that payload and payload diagram allow at the attach point, so that a search may
+follow their limit. A setting is a load of its own: everything that looks at loads looks at settings.
 """
 
 from __future__ import annotations
@@ -15,13 +15,24 @@ from types import MappingProxyType
 import numpy as np
 
 from doe.statics import allowed_mass
-from identify.arrays import Floats
+from identify.arrays import Floats, Ints
 from identify.errors import InputError
 from identify.loads import LoadCase, LoadRange
 from identify.study import Study
 from identify.units import MM
 
-__all__ = ["KG_STEP", "MM_STEP", "as_hung", "setting", "shares_of", "values_at", "values_of", "with_setting", "with_settings"]
+__all__ = [
+    "KG_STEP",
+    "MM_STEP",
+    "as_hung",
+    "setting",
+    "shares_of",
+    "values_at",
+    "values_of",
+    "with_setting",
+    "with_settings",
+    "with_used_first",
+]
 
 KG_STEP, MM_STEP = 0.1, 1.0  # what values are rounded to
 _DRAWN = 256  # points of the sequence that settings are taken from
@@ -89,8 +100,7 @@ def with_settings(study: Study, seed: int) -> Study:
     for name, span in study.load_ranges.items():
         load = places[name][0]
         found = _settings(study, span, values_of(load), study.plan.settings_per_load, np.random.default_rng(seed))
-        taken = set(places) | set(spans)
-        names = _names(name, len(found), taken)
+        names = _names(name, len(found), set(places) | set(spans))
         places[name] = [setting(load, new, values) for new, values in zip(names, found, strict=True)]
         spans |= dict.fromkeys(names, span)
     costs = [cost for name, cost in zip(places, study.load_costs, strict=False) for _ in places[name]]
@@ -116,6 +126,25 @@ def with_setting(study: Study, base: int, values: Floats) -> tuple[Study, int]:
     costs = (*study.load_costs, *study.load_costs[base : base + 1])
     loads = (*study.loads, setting(study.loads[base], name, values))
     return replace(study, loads=loads, load_ranges=MappingProxyType(dict(ranges)), load_costs=costs), len(loads) - 1
+
+
+def with_used_first(study: Study, used: Ints) -> Study:
+    """The study whose settings are numbered anew: those of the loads ``used`` (indices) first, then the others."""
+    order = [*used.tolist(), *np.setdiff1d(np.arange(len(study.loads)), used).tolist()]
+    numbered: dict[str, list[int]] = {}
+    for index in order:
+        span = study.load_ranges.get(study.loads[index].name)
+        if span is not None:
+            numbered.setdefault(span.of, []).append(index)
+    loads, ranges = list(study.loads), dict[str, LoadRange]()
+    fixed = {load.name for load in loads} - set(study.load_ranges)
+    for of, indices in numbered.items():
+        for index, name in zip(indices, _names(of, len(indices), fixed | set(ranges)), strict=True):
+            ranges[name] = study.load_ranges[loads[index].name]
+            loads[index] = replace(loads[index], name=name)
+    new = {old.name: load.name for old, load in zip(study.loads, loads, strict=True)}
+    plan = replace(study.plan, loads=tuple(new[name] for name in study.plan.loads))
+    return replace(study, loads=tuple(loads), load_ranges=MappingProxyType(ranges), plan=plan)
 
 
 def _settings(study: Study, span: LoadRange, nominal: Floats, count: int, rng: np.random.Generator) -> Floats:
@@ -166,7 +195,7 @@ def _check_effects(study: Study) -> None:
     for name in study.load_ranges:
         for effect in {"load_level", f"load_level@{name}"} & set(study.effects):
             raise InputError(
-                f"{study.path}: [model] effects: {effect} is an unknown of each single load, and every setting of {name} "
-                "(mass_range_kg, attach_range_mm) would have its own; name loads without ranges (load_level@ID), take "
-                "load_scale, or leave the ranges out"
+                f"{study.path}: [model] effects: {effect} is an unknown of each single load, and every setting of "
+                f"{name} (mass_range_kg, attach_range_mm) would have its own; name loads without ranges "
+                "(load_level@ID), take load_scale, or leave the ranges out"
             )

@@ -100,8 +100,8 @@ def _loads_moved(
         gained = 1.0 - search.value(better) / before
         if gained > 0.0:
             steps = refinement.iterations + moved.iterations + other.iterations
-            refinement = replace(refinement, q=better.q, value_after=search.value(better), iterations=steps, reason=None)
-            search, plan = further, better
+            search, plan, after = further, better, search.value(better)
+            refinement = replace(refinement, q=plan.q, value_after=after, iterations=steps, reason=None)
         if gained <= _HARDLY:
             break
     return search, plan, refinement

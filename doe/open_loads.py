@@ -74,8 +74,8 @@ class LoadSpace:
         base = self.choices[choice]
         every = np.zeros((*base.shape, 4))
         every[:, self.shots, self.entries] = share
-        ends = (end[base].reshape(-1, 4) for end in (self.lower, self.upper))
-        return values_at(self.study, *ends, every.reshape(-1, 4)).reshape(every.shape)
+        lower, upper = (end[base].reshape(-1, 4) for end in (self.lower, self.upper))
+        return values_at(self.study, lower, upper, every.reshape(-1, 4)).reshape(every.shape)
 
     def loads(self, share: Floats, choice: Ints) -> tuple[Ints, tuple[LoadCase, ...]]:
         """Loads (m, S) of visits at shares (m, v), as indices of load cases that are all different."""
@@ -116,10 +116,9 @@ def load_space(study: Study, choices: Ints) -> LoadSpace:
     names = list(dict.fromkeys(_of(study, load) for load in study.loads))
     first = [next(load for load in study.loads if _of(study, load) == name) for name in names]
     spans = [study.load_ranges.get(load.name) for load in first]
-    lower, upper = (
-        np.array([values_of(load) if span is None else getattr(span, end) for load, span in zip(first, spans, strict=True)])
-        for end in ("lower", "upper")
-    )
+    pairs = zip(first, spans, strict=True)
+    ends = [[values_of(load)] * 2 if span is None else [span.lower, span.upper] for load, span in pairs]
+    lower, upper = np.array(ends).swapaxes(0, 1)
     place = np.array([names.index(_of(study, load)) for load in study.loads], dtype=np.int64)
     merged = np.unique(place[choices], axis=0)
     loose = (upper > lower)[merged].any(axis=0)

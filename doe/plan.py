@@ -16,7 +16,7 @@ from doe.drift import yardstick
 from doe.earlier import NOTHING, Earlier
 from doe.guard import Guard
 from doe.information import covariance_of
-from doe.load_settings import with_settings
+from doe.load_settings import with_settings, with_used_first
 from doe.moves import stated_moves
 from doe.pool import Pool, build_pool
 from doe.purse import prices
@@ -119,12 +119,17 @@ def _planned(study: Study, *, seed: int, earlier: Earlier, home: Floats | None, 
         choice = sufficient(pool, seed, reach)
     else:
         choice = choose(pool, study.plan.poses, seed, reach)
+    choice = replace(choice, pool=_renumbered(choice.pool, choice.visit_loads))
     return _proven(choice, scheduled(choice) if bought is None else bought.schedule, bought, reach)
 
 
-def scheduled_choice(
-    choice: Choice, seed: int, *, home: Floats | None = None, free: Free | None = None
-) -> Schedule:
+def _renumbered(pool: Pool, visit_loads: Ints) -> Pool:
+    """The pool with settings of loads numbered from 1 for those that a plan uses."""
+    watching = pool.observer
+    return replace(pool, observer=replace(watching, study=with_used_first(watching.study, np.unique(visit_loads))))
+
+
+def scheduled_choice(choice: Choice, seed: int, *, home: Floats | None = None, free: Free | None = None) -> Schedule:
     """Put the experiments of a choice in the order of measuring.
 
     Args:

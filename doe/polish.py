@@ -173,7 +173,8 @@ class _Goal:
         slope = np.einsum("nkp,njkp->nj", pull, rows[:, 1:] - own[:, None])
         slope = (slope + penalty[:, 1:] - penalty[:, :1]) / step
         slope = np.where(self.region.scale > 0.0, slope, 0.0)
-        return height + float(penalty[:, 0].sum()), np.bincount(self.place, weights=slope.ravel())
+        total = np.bincount(self.place, weights=slope.ravel()).astype(np.float64)
+        return height + float(penalty[:, 0].sum()), total
 
 
 def _information(rows: Floats) -> Floats:

@@ -143,7 +143,7 @@ def joined_pool(pool: Pool, reach: Reach, q: Floats, visit_loads: Ints, *, keep:
 
 
 def _nearest(reach: Reach, study: Study, used: Ints) -> Ints:
-    """(m, S) loads of a study that come nearest to those of the columns, out of the ``used`` ones where there are any."""
+    """(m, S) loads of a study that come nearest to those of the columns, the ``used`` ones where there are any."""
     space, found = reach.space, reach.columns.found
     if not space.open:
         return space.choices[found.choice]

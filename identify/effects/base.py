@@ -368,9 +368,9 @@ def _wrench(experiment: Experiment, shots: Ints, frames: Frames) -> tuple[Floats
         return attach, *_measured(experiment, shots, frames)
     robot = frames.robot
     turn = frames.flange_rotation if loads[index[0]].in_flange else robot.world_R_base.T[None]
-    force, moment = (turn @ np.array([getattr(load, key) for load in loads])[index, :, None] for key in ("force", "moment"))
+    force, moment = (np.array([getattr(load, key) for load in loads])[index, :, None] for key in ("force", "moment"))
     weight = np.array([load.mass for load in loads])[index, None] * robot.gravity_base
-    return attach, force[:, :, 0] + weight, moment[:, :, 0]
+    return attach, (turn @ force)[:, :, 0] + weight, (turn @ moment)[:, :, 0]
 
 
 def _measured(experiment: Experiment, shots: Ints, frames: Frames) -> tuple[Floats, Floats]:
