@@ -73,7 +73,7 @@ class Statics:
 
 
 def _share(value: Floats, limit: Floats) -> Floats:
-    """Share of their limits by which values of any shape exceed them; minus infinity where a limit is infinite."""
+    """Share of their limits by which values of any shape exceed them; minus infinity where there is no limit."""
     known = np.isfinite(limit)
     highest = np.where(known, limit, 0.0)
     excess = (value - highest * (1.0 + _ROUNDING)) / np.maximum(highest, 1.0)
@@ -136,7 +136,7 @@ def overload(study: Study, mass: Floats, attach: Floats) -> Floats:
     if diagram is not None:
         moment = mass[..., None] * attach + robot.tool_mass * robot.tool_centre
         distance = np.linalg.norm(moment, axis=-1) / np.where(total > 0.0, total, 1.0)
-        limit = np.minimum(limit, diagram.allowed(distance))
+        limit = np.fmin(limit, diagram.allowed(distance))  # an unknown payload is nan
     return _share(total, limit)
 
 
