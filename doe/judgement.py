@@ -128,9 +128,8 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
     if content["bound_source"] == BRANCHED:
         lines.append(f"proven optimal on these by branch and bound within {_percent(1 - content['efficiency'])}")
     if content["efficiency_continuous"] is not None:
-        lines.append(
-            f"estimated over all {_varied(content)}, not proven: {100 * content['efficiency_continuous']:.2f} % efficient"
-        )
+        share = 100 * content["efficiency_continuous"]
+        lines.append(f"estimated over all {_varied(content)}, not proven: {share:.2f} % efficient")
     if content["grid"] is not None and count:
         lines.append(
             f"before refinement: {content['grid']['value']:.5g}, on the candidates alone at least "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +16,9 @@ from identify.study import Study
 __all__ = ["Statics", "allowed_mass", "carried", "overload", "statics"]
 
 _ROUNDING = 1e-9  # relative: a load at a limit is allowed
-_STEPS = 16  # parts of a range of masses that are looked at
-_HALVINGS = 32  # of the part in which the limit lies
+_PARTS = 16  # of a range of masses, where its lower end is too heavy
+_TURNS = 80  # to the limit at most; one or two are usual
+_INSIDE = 1e-10  # relative: how far below the limit the largest mass stays
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,16 +156,39 @@ def allowed_mass(study: Study, attach: Floats, lower: Floats, upper: Floats) -> 
     """
     found = np.array(upper)
     rest = np.flatnonzero(overload(study, upper, attach) > 0.0)
-    if not len(rest):
-        return found
-    share = np.linspace(0.0, 1.0, _STEPS + 1)
-    tried = lower[rest, None] + (upper - lower)[rest, None] * share
-    good = overload(study, tried, np.repeat(attach[rest, None], len(share), axis=1)) <= 0.0
-    last = (good * np.arange(len(share))).max(axis=1)  # with a tool further out, light loads may be too far out
-    low, high = tried[np.arange(len(rest)), last], tried[np.arange(len(rest)), np.minimum(last + 1, _STEPS)]
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        holds = overload(study, middle, attach[rest]) <= 0.0
-        low, high = np.where(holds, middle, low), np.where(holds, high, middle)
-    found[rest] = low
+    low, high, place = lower[rest], upper[rest], attach[rest]
+    heavy = overload(study, low, place) > 0.0
+    if heavy.any():  # with a tool further out, light loads may be too far out and heavier ones not
+        low[heavy], high[heavy] = _bracket(study, place[heavy], low[heavy], high[heavy])
+    found[rest] = _limit(lambda mass: overload(study, mass, place) + _INSIDE, low, high)
     return found
+
+
+def _bracket(study: Study, attach: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    """The heaviest mass (m,) of some that is allowed, and the next one; the least mass twice where none is."""
+    share = np.linspace(0.0, 1.0, _PARTS + 1)
+    tried = lower[:, None] + (upper - lower)[:, None] * share
+    good = overload(study, tried, np.repeat(attach[:, None], len(share), axis=1)) <= 0.0
+    last = (good * np.arange(len(share))).max(axis=1)
+    row = np.arange(len(tried))
+    return tried[row, last], np.where(good.any(axis=1), tried[row, np.minimum(last + 1, _PARTS)], lower)
+
+
+def _limit(excess: Callable[[Floats], Floats], low: Floats, high: Floats) -> Floats:
+    """Where functions rise through zero between ``low`` (m,) and ``high`` (m,); ``low`` where they do not.
+
+    Secants and halvings in turn: functions are nearly linear, but may jump where the diagram ends.
+    """
+    left, right = excess(low), excess(high)
+    crossed = (left < 0.0) & (right > 0.0)
+    at, value = low, left
+    for step in range(_TURNS):
+        share = np.where(crossed, -left / np.where(crossed, right - left, 1.0), 0.0) if step % 2 == 0 else 0.5
+        at = low + share * (high - low)
+        value = excess(at)
+        if (np.abs(value[crossed]) < 0.1 * _INSIDE).all():
+            break
+        below = value < 0.0
+        low, left = np.where(below, at, low), np.where(below, value, left)
+        high, right = np.where(below, high, at), np.where(below, right, value)
+    return np.where(crossed & (value < _INSIDE), np.maximum(at, low), low)
