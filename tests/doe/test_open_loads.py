@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe import load_settings
+from doe import load_settings, off_grid
 from doe.candidates import load_choices, sampled_range
 from doe.commands import run_evaluate, run_plan
 from doe.earlier_files import EarlierFiles
@@ -336,5 +336,7 @@ def test_keys_and_numbers_of_open_loads_are_documented():
     usual = PlanSection.model_fields["settings_per_load"].default
     assert f"`settings_per_load` (default {usual}) settings" in words
     assert f"whole {load_settings.MM_STEP:g} mm and {load_settings.KG_STEP:g} kg" in words
+    theory = " ".join((ROOT / "docs" / "theory.md").read_text(encoding="utf-8").split())
+    assert f"until less than {100 * off_grid._HARDLY:g} % is gained" in theory
     for key in ("load", "of", "mass_kg", "attach_mm", "visits"):
         assert f"`{key}`" in words[words.index("`load_settings`") :][:400]
