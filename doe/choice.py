@@ -22,6 +22,11 @@ __all__ = ["Choice", "all_poses_count", "choose"]
 
 _SHARES = (1.0, 0.5, 0.25, 0.125)  # of the way of a refinement that is tried for robust plans
 
+_LOADS_STAY = (
+    "loads with ranges hang at the settings of the candidates (settings_per_load): their values are moved further only "
+    "in plans with refine = true, and without measured visits, unreachable poses, losses, draws or a budget"
+)
+
 log = logging.getLogger("elastocal")
 
 
@@ -30,6 +35,7 @@ class Choice:
     """A plan that nothing is proven about yet.
 
     Attributes:
+        pool: What it was chosen from; its study holds the loads of the plan.
         q: (n, joints) joint values, rad or m.
         visit_loads: (n, L) loads.
         grid: (n, k, p) blocks before refinement.
@@ -39,6 +45,7 @@ class Choice:
         notes: What the user should know.
     """
 
+    pool: Pool
     q: Floats
     visit_loads: Ints
     grid: Floats
@@ -77,12 +84,14 @@ def choose(
         if reach is None or count is None:
             found, refinement = _moved_beside(pool, chosen, start, most)
         else:
-            found, refinement = search_off_grid(OffGrid(pool, reach, count, seed, best, most), chosen, start)
+            found, refinement, pool = search_off_grid(OffGrid(pool, reach, count, seed, best, most), chosen, start)
     if refinement is not None and refinement.reason:
         notes = (*notes, f"not refined: {refinement.reason}")
     if best is not None:
         notes = (*notes, *blind_spot(pool, found.blocks, best))
-    return Choice(found.q, found.loads, start.blocks, found.blocks, refinement, guard, notes)
+    if study.load_ranges and (reach is None or count is None):
+        notes = (*notes, _LOADS_STAY)
+    return Choice(pool, found.q, found.loads, start.blocks, found.blocks, refinement, guard, notes)
 
 
 def all_poses_count(pool: Pool) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from doe.accuracy import Accuracy, accuracy
 from doe.curve import accuracy_curve, fewest_shown, sizes
-from doe.design_choices import choice_lines, chosen_toml, decide
+from doe.design_choices import choice_lines, decide
 from doe.earlier import Earlier
 from doe.earlier_files import NO_FILES, EarlierFiles, load_earlier
 from doe.evaluate import evaluate
@@ -42,6 +42,7 @@ from doe.order_report import (
     order_notes,
 )
 from doe.plan import Plan, plan
+from doe.planned_study import planned_toml, setting_lines, settings_json, used_settings
 from doe.regions import poses_in
 from doe.schedule import time_as_given
 from identify.arrays import Floats
@@ -50,9 +51,9 @@ from identify.config import load_study
 from identify.study import Study
 from identify.tables import load_plan, plan_csv, plan_experiment
 
-__all__ = ["CHOSEN", "run_evaluate", "run_plan"]
+__all__ = ["PLANNED", "run_evaluate", "run_plan"]
 
-CHOSEN = "chosen.toml"  # the study with the choices made
+PLANNED = "planned.toml"  # the study with everything chosen
 
 
 def run_plan(
@@ -69,7 +70,8 @@ def run_plan(
     """
     study, earlier, told = load_earlier(load_study(study_file), before)
     made = plan(study, seed=seed, earlier=earlier, executor=executor)
-    study = made.pool.observer.study  # station and markers are chosen
+    study = made.pool.observer.study  # station, markers and loads are chosen
+    used, left_open = used_settings(made), made.decision is not None or bool(study.load_ranges)
     reached = _accuracy(study, made.pool.objective, made.covariance)
     simple = joint_only(made, seed=seed)
     experiment = conditions_of(made.schedule, study, earlier.names)
@@ -85,7 +87,8 @@ def run_plan(
         "std": standard_deviations(made.information),
         **counts(made.pool.candidates),
         "choices": None if made.decision is None else made.decision.as_json,
-        "chosen_study": None if made.decision is None else CHOSEN,
+        "load_settings": settings_json(used) if study.load_ranges else None,
+        "chosen_study": PLANNED if left_open else None,
         "curve": _curve_of_plan(study, made, seed),
         "robust": _robust(study, made, experiment.visits),
         "measured": _measured(study, made.pool.objective, earlier, made.pool.prior),
@@ -100,9 +103,11 @@ def run_plan(
     tables = {"plan.csv": plan_csv(experiment, study)}
     lines = (*judgement_lines(content, len(made.q)), *order_lines(made.schedule), *budget_lines(made),
              *curve_lines(content["curve"]))  # fmt: skip
-    if made.decision is not None:
-        tables[CHOSEN] = chosen_toml(study_file, made.decision.best, out)
-        lines = (*choice_lines(made.decision), *lines)
+    if left_open:
+        best = None if made.decision is None else made.decision.best
+        tables[PLANNED] = planned_toml(study_file, out, best, used)
+        chosen = () if made.decision is None else choice_lines(made.decision)
+        lines = (*chosen, *setting_lines(used), *lines)
     return Outcome("plan", content, (*study.inputs, *before.paths), tables, lines)
 
 

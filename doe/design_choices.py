@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,10 +22,9 @@ from doe.executor import HERE, Executor
 from doe.objective import objective
 from doe.observations import identifiable, keep_columns, observer
 from identify.errors import Infeasible, NoConvergence, NotIdentifiable
-from identify.problems import name_robot_from, read_toml
 from identify.study import Study
 
-__all__ = ["Decision", "Option", "choice_lines", "chosen_toml", "decide", "open_choices"]
+__all__ = ["Decision", "Option", "choice_lines", "decide", "open_choices"]
 
 _CANDIDATES = 400  # at most, for each option
 _TRIED = 300  # options that are all tried; with more, markers are exchanged
@@ -140,31 +138,6 @@ def decide(study: Study, *, seed: int, executor: Executor = HERE) -> tuple[Study
     mounted = ", ".join(best.markers)
     log.info("chosen out of %d: %s", len(tried), "; ".join(filter(None, [where, mounted and f"markers {mounted}"])))
     return _with(study, best.station, best.markers), Decision(best, tried, complete)
-
-
-def chosen_toml(study: Path, best: Option, out: Path) -> str:
-    """Text of a study file in which the choices are made: only the chosen station, the mounted markers as markers.
-
-    Args:
-        study: The study file with the choices.
-        best: What was chosen.
-        out: Folder that the file will stand in; the robot file is named from there.
-    """
-    import tomli_w
-
-    data = read_toml(study)
-    name_robot_from(out, data, study)
-    plan = data.setdefault("plan", {})
-    for key in ("stations", "markers"):
-        plan.pop(key, None)
-    if best.station is not None:
-        data["tracker_stations"] = [place for place in data["tracker_stations"] if place["id"] == best.station]
-    choices = data.pop("marker_choices", {})
-    mounted = {name: choices[name] for name in best.markers}
-    data["markers"] = {**data.get("markers", {}), **mounted}
-    normals = data.get("marker_normals", {})
-    data["marker_normals"] = {name: look for name, look in normals.items() if name in data["markers"]}
-    return tomli_w.dumps(data)
 
 
 def choice_lines(decision: Decision) -> tuple[str, ...]:

@@ -27,7 +27,8 @@ import numpy as np
 
 from doe.distances import segment_distance
 from doe.gaps import Gaps, gaps_of
-from doe.statics import carried, statics
+from doe.hung_frames import Hung, placed
+from doe.statics import Statics, statics
 from doe.visibility import sight
 from identify.arrays import Floats, Ints, frozen
 from identify.errors import InputError
@@ -99,48 +100,62 @@ class Screen:
     Attributes:
         study: The study.
         gaps: The geometry of its cell.
+        limits: Its static limits.
         tests: Reason -> ``(q (N, n), frames) -> (N, L) or (N, 1)``, True where it applies; in the order of `REASONS`.
     """
 
     study: Study
     gaps: Gaps
+    limits: Statics
     tests: Mapping[str, Test]
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Another process builds its own from the study."""
         return screen, (self.study,)
 
-    def codes(self, q: Floats) -> np.ndarray:
+    @property
+    def overshoots(self) -> Mapping[str, Callable[[Frames], Floats]]:
+        """Reason -> by how much N poses break it, (N, L) or (N, 1): m, or the share of what may be carried.
+
+        Not above 0 where they do not. Reasons that are not there have no measure.
+        """
+        inside = {reason: _inside(gap) for reason, gap in self.gaps.by_reason.items()}
+        return inside | {"payload": self.limits.overload, "torque": self.limits.excess}
+
+    def codes(self, q: Floats, hung: Hung | None = None) -> np.ndarray:
         """First reason against each load at each pose.
 
         The reason against a visit is the smallest code of its loads.
 
         Args:
             q: (N, n) joint values, rad or m.
+            hung: Values of the loads at each pose in place of the study's. Which pairs touch in every pose is still
+                that of the study's.
 
         Returns:
             (N, loads) index into `REASONS`, or `FEASIBLE`.
         """
-        parts = [self._approached(q[start : start + _CHUNK]) for start in range(0, len(q), _CHUNK)]
+        chunks = [slice(start, start + _CHUNK) for start in range(0, len(q), _CHUNK)]
+        parts = [self._approached(q[part], None if hung is None else hung.taken(part)) for part in chunks]
         return np.concatenate(parts) if parts else np.empty((0, len(self.study.loads)), dtype=np.int8)
 
     def check(self, q: Floats, visit_loads: Ints) -> Feasibility:
         """Check visits: (N, n) joint values, rad or m, and (N, L) indices of the loads of each visit."""
         return Feasibility(np.take_along_axis(self.codes(q), visit_loads, axis=1).min(axis=1, initial=FEASIBLE))
 
-    def _approached(self, q: Floats) -> np.ndarray:
+    def _approached(self, q: Floats, hung: Hung | None) -> np.ndarray:
         """`codes` of a few poses, and of where they are approached from."""
-        codes, below = self._chunk(q, self.tests), approach_of(self.study)
-        return np.minimum(codes, self._chunk(q - below, self._of_moving)) if below.any() else codes
+        codes, below = self._chunk(q, hung, self.tests), approach_of(self.study)
+        return np.minimum(codes, self._chunk(q - below, hung, self._of_moving)) if below.any() else codes
 
     @property
     def _of_moving(self) -> Mapping[str, Test]:
         """The tests of places where nothing is read."""
         return {reason: test for reason, test in self.tests.items() if reason not in _OF_READING}
 
-    def _chunk(self, q: Floats, tests: Mapping[str, Test]) -> np.ndarray:
+    def _chunk(self, q: Floats, hung: Hung | None, tests: Mapping[str, Test]) -> np.ndarray:
         """`codes` of a few poses by themselves; what a pose has failed for every load is not looked at further."""
-        frames = forward(self.study.robot, q)
+        frames = placed(self.study.robot, q, hung)
         codes = np.full((len(q), len(self.study.loads)), FEASIBLE, dtype=np.int8)
         left = np.arange(len(q))
         for reason, test in tests.items():
@@ -175,23 +190,27 @@ def screen(study: Study) -> Screen:
     gaps, limits = gaps_of(study), statics(study)
     view = sight(study, gaps)
     lower, upper = _limits(study)
-    forbidden = ~carried(study)[None]
     tests: dict[str, Test] = {
         "joint_limits": lambda q, _: np.any((q < lower - _ROUNDING) | (q > upper + _ROUNDING), axis=1, keepdims=True)
     }
     tests |= {reason: _broken(gap) for reason, gap in gaps.by_reason.items()}
-    tests["payload"] = lambda q, _: np.broadcast_to(forbidden, (len(q), forbidden.shape[1]))
+    tests["payload"] = lambda _, frames: limits.overload(frames) > 0.0
     tests["torque"] = lambda _, frames: limits.exceeded(frames)
     if view is not None:
         tests |= {reason: _of_frames(test) for reason, test in view.by_reason.items()}
     _check_home(study, gaps)
     _check_tracker(study, gaps)
-    return Screen(study, gaps, {reason: tests[reason] for reason in REASONS if reason in tests})
+    return Screen(study, gaps, limits, {reason: tests[reason] for reason in REASONS if reason in tests})
 
 
 def _broken(gap: Callable[[Frames], Floats]) -> Test:
     """The test of a gap."""
     return lambda _, frames: np.asarray(gap(frames) < -_ROUNDING)
+
+
+def _inside(gap: Callable[[Frames], Floats]) -> Callable[[Frames], Floats]:
+    """By how much a gap is broken."""
+    return lambda frames: -gap(frames)
 
 
 def _of_frames(test: Callable[[Frames], np.ndarray]) -> Test:

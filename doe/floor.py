@@ -39,11 +39,20 @@ class FloorPoints:
         for key in ("local", "below"):
             object.__setattr__(self, key, frozen(getattr(self, key)))
 
-    def heights(self, frames: Frames) -> Floats:
-        """(N, J + P) world heights from the base origin, of the lowest that hangs there, m."""
+    def heights(self, frames: Frames, local: Floats | None = None) -> Floats:
+        """World heights from the base origin, of the lowest that hangs there.
+
+        Args:
+            frames: N poses.
+            local: (N, P, 3) other points of each pose in place of those of the flange frame, m.
+
+        Returns:
+            (N, J + P) m.
+        """
         up = frames.robot.world_R_base[2]
         up_in_flange = np.einsum("i,vij->vj", up, frames.flange_rotation)
-        flange = (frames.flange_origin @ up)[:, None] + up_in_flange @ self.local.T - self.below
+        raised = up_in_flange @ self.local.T if local is None else np.einsum("vj,vpj->vp", up_in_flange, local)
+        flange = (frames.flange_origin @ up)[:, None] + raised - self.below
         return np.concatenate([frames.origin[:, self.joints] @ up, flange], axis=1)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from doe.capsules import Capsules, capsules
 from doe.distances import box_gap_axes, point_box_distance, segment_box_distance
 from doe.floor import FloorPoints, floor_points, load_points
+from doe.hung_frames import HungFrames
 from doe.weights import Weights, weights
 from identify.arrays import Floats
 from identify.cell import Box, Wall
@@ -69,8 +70,16 @@ class Gaps:
         """(N, L) height above the floor of the lowest point of arm and load."""
         if self.floor is None:
             return _open(frames)
-        lowest = [points.heights(frames).min(axis=1, initial=np.inf) for points in (self.arm, *self.attached)]
+        heights = (self.arm.heights(frames), *self._hung_heights(frames))
+        lowest = [points.min(axis=1, initial=np.inf) for points in heights]
         return np.asarray(np.minimum(np.array(lowest[1:]), lowest[0]).T - self.floor)
+
+    def _hung_heights(self, frames: Frames) -> list[Floats]:
+        """For each load, (N, P) world heights of its points, m."""
+        if not isinstance(frames, HungFrames):
+            return [points.heights(frames) for points in self.attached]
+        points = zip(self.attached, np.moveaxis(frames.hung.attach[:, :, None], 1, 0), strict=True)
+        return [stated.heights(frames, own[:, : len(stated.local)]) for stated, own in points]
 
     def to_walls(self, frames: Frames) -> Floats:
         """(N, L) distance in front of the nearest wall, of capsules that move, flange markers, ropes and bodies."""

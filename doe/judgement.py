@@ -128,9 +128,8 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
     if content["bound_source"] == BRANCHED:
         lines.append(f"proven optimal on these by branch and bound within {_percent(1 - content['efficiency'])}")
     if content["efficiency_continuous"] is not None:
-        lines.append(
-            f"estimated over all joint angles, not proven: {100 * content['efficiency_continuous']:.2f} % efficient"
-        )
+        share = 100 * content["efficiency_continuous"]
+        lines.append(f"estimated over all {_varied(content)}, not proven: {share:.2f} % efficient")
     if content["grid"] is not None and count:
         lines.append(
             f"before refinement: {content['grid']['value']:.5g}, on the candidates alone at least "
@@ -138,7 +137,7 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
         )
     lines += _robust_lines(content)
     if content.get("refinement") is not None:
-        lines.append(f"refining the joint angles gained {content['refinement']['gained_percent']:.1f} %")
+        lines.append(f"refining the {_varied(content)} gained {content['refinement']['gained_percent']:.1f} %")
     simple = content.get("joint_only")
     if simple is not None:
         missed = content["rank"] - simple["rank"]
@@ -153,6 +152,11 @@ def judgement_lines(content: dict[str, Any], count: int) -> tuple[str, ...]:
     if rejected:
         lines.append(f"poses rejected: {rejected}")
     return (*lines, *(f"note: {note}" for note in content["notes"]))
+
+
+def _varied(content: dict[str, Any]) -> str:
+    """What varies continuously, in words."""
+    return "joint angles" if content.get("load_settings") is None else "joint angles and loads"
 
 
 def _proof_line(content: dict[str, Any], count: int) -> str:

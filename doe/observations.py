@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -102,27 +103,32 @@ class Observer:
         """In words, why a parameter cannot be identified."""
         return why_not(self.model, dropped)
 
-    def blocks(self, q: Floats, visit_loads: Ints, executor: Executor = HERE) -> Floats:
+    def blocks(
+        self, q: Floats, visit_loads: Ints, executor: Executor = HERE, *, loads: tuple[LoadCase, ...] | None = None
+    ) -> Floats:
         """Whitened observation blocks of visits.
 
         Args:
             q: (N, n) joint values, rad or m.
             visit_loads: (N, L) load of each shot of a visit.
             executor: Who builds them, in pieces.
+            loads: The loads that these are indices of; None: those of the study.
 
         Returns:
             (N, k, p) rows per unit of each parameter of the observer's model; many of them stand in a temporary file.
         """
         if not len(q):
             raise InputError(f"{self.study.path}: no poses to observe")
+        hung = self.study.loads if loads is None else loads
         parts = [slice(start, start + _CHUNK) for start in range(0, len(q), _CHUNK)]
         if len(parts) == 1:
-            return self._piece((q, visit_loads))
-        return gathered(executor.map(self._piece, [(q[part], visit_loads[part]) for part in parts]), len(q))
+            return self._piece(hung, (q, visit_loads))
+        pieces = [(q[part], visit_loads[part]) for part in parts]
+        return gathered(executor.map(partial(self._piece, hung), pieces), len(q))
 
-    def _piece(self, visits: tuple[Floats, Ints]) -> Floats:
+    def _piece(self, loads: tuple[LoadCase, ...], visits: tuple[Floats, Ints]) -> Floats:
         """Blocks of some visits: joint values and loads."""
-        return stacked_visits(self, full_experiment(*visits, self.study.loads, self.study.markers))
+        return stacked_visits(self, full_experiment(*visits, loads, self.study.markers))
 
 
 def observer(study: Study, *, own_visits: bool = False) -> Observer:

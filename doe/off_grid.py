@@ -1,4 +1,4 @@
-"""Off the grid: move the visits of a plan, and exchange them with what the columns off the grid offer."""
+"""Off the grid: move the visits of a plan and its loads, and exchange them with what the columns off the grid offer."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from doe.earlier import NOTHING, Earlier
 from doe.feasible import joint_range, screen
 from doe.guard import guarded_search
 from doe.information import information_of, standard_deviations
+from doe.moved_loads import move_loads
 from doe.objective import Objective
 from doe.observations import Observer
 from doe.polish import polish
@@ -23,6 +24,7 @@ from identify.arrays import Floats, Ints
 __all__ = ["OffGrid", "Visits", "off_grid", "search_off_grid"]
 
 _EXCHANGES = 3  # with the columns off the grid; one or two are usual
+_TURNS = 4  # of loads and joint angles
 _HARDLY = 1e-3  # loss of the criterion that a plan with fewer different poses is worth, and gain that ends the search
 _DIFFERENCES = "L-BFGS-B on differences"
 
@@ -55,7 +57,7 @@ class OffGrid:
         return float("inf") if blind or twice else self.pool.objective.value(information)
 
 
-def search_off_grid(search: OffGrid, chosen: Ints, start: Visits) -> tuple[Visits, Refinement]:
+def search_off_grid(search: OffGrid, chosen: Ints, start: Visits) -> tuple[Visits, Refinement, Pool]:
     """Move a plan off the grid, exchange it with columns off the grid, move it again, and keep the best.
 
     Args:
@@ -64,20 +66,45 @@ def search_off_grid(search: OffGrid, chosen: Ints, start: Visits) -> tuple[Visit
         start: The same as visits.
 
     Returns:
-        A plan that is not worse, ``start`` itself if nothing better was found, and what moving did.
+        A plan that is not worse, ``start`` itself if nothing better was found, what moving did, and the pool whose
+        study holds the loads of the plan.
     """
     found, refinement = _moved(search, chosen, start)
     best = min((start, found), key=search.value)
+    search, best, refinement = _loads_moved(search, chosen, best, refinement)
     for _ in range(_EXCHANGES):
         pool = joined_pool(search.pool, search.reach, best.q, best.loads, keep=chosen)
         again, _, _ = guarded_search(pool, search.count, search.seed, search.best)
         exchanged = Visits(pool.candidates.visit_q[again], pool.candidates.visit_loads[again], pool.blocks[again])
         found, other = _moved(search, again, exchanged)
         better = min((exchanged, found), key=search.value)
+        further, better, other = _loads_moved(search, again, better, other)
         if search.value(better) >= search.value(best) * (1.0 - _HARDLY):
             break
-        best, refinement = better, _joined(refinement, other)
-    return best, refinement
+        search, best, refinement = further, better, _joined(refinement, other)
+    return best, refinement, search.pool
+
+
+def _loads_moved(
+    search: OffGrid, chosen: Ints, plan: Visits, refinement: Refinement
+) -> tuple[OffGrid, Visits, Refinement]:
+    """Move the loads of a plan within their ranges and its joint angles in turn, while that gains."""
+    for _ in range(_TURNS if search.reach.space.open else 0):
+        moved = move_loads(search.pool, search.reach, plan.q, plan.loads)
+        if moved is None:
+            break
+        further, before = replace(search, pool=moved.pool), search.value(plan)
+        start = Visits(moved.q, moved.visit_loads, moved.blocks)
+        found, other = _moved(further, chosen, start)
+        better = min((start, found), key=search.value)
+        gained = 1.0 - search.value(better) / before
+        if gained > 0.0:
+            steps = refinement.iterations + moved.iterations + other.iterations
+            search, plan, after = further, better, search.value(better)
+            refinement = replace(refinement, q=plan.q, value_after=after, iterations=steps, reason=None)
+        if gained <= _HARDLY:
+            break
+    return search, plan, refinement
 
 
 def _joined(first: Refinement, second: Refinement) -> Refinement:
@@ -99,8 +126,9 @@ def _polished(search: OffGrid, chosen: Ints, plan: Visits) -> tuple[Visits, Refi
     """Move the visits by differences of their blocks, for effects and criteria without symbolic derivatives."""
     pool, reach = search.pool, search.reach
     watching, kept, aim = pool.observer, pool.known.kept, pool.objective
-    which = (plan.loads[:, None] == reach.loads).all(axis=2).argmax(axis=1)
-    ended, steps = polish(reach.region, plan.q, which, aim.target(), aim.criterion)
+    x, which = reach.points(watching.study, plan.q, plan.loads)
+    ended, steps = polish(reach.held, x, which, aim.target(), aim.criterion)
+    ended = ended[:, : watching.study.robot.n]
 
     def at(q: Floats) -> Visits:
         return Visits(q, plan.loads, watching.blocks(q, plan.loads)[:, :, kept])

@@ -17,6 +17,7 @@ from doe.earlier import NOTHING, Earlier
 from doe.executor import HERE, Executor
 from doe.guard import Guard
 from doe.information import covariance_of
+from doe.load_settings import with_settings, with_used_first
 from doe.pool import Pool, build_pool
 from doe.purse import prices
 from doe.reach import Reach, reach_of
@@ -104,7 +105,7 @@ def plan(
         NotIdentifiable: The criterion needs what no candidate shows, or n is too small.
         Infeasible: No candidate keeps to the constraints, or no plan meets the tolerance or fits into the budget.
     """
-    study, decision = decide(study, seed=seed, executor=executor)
+    study, decision = decide(with_settings(study, seed), seed=seed, executor=executor)
     made = partial(_planned, seed=seed, earlier=earlier, home=home, free=free, executor=executor)
     return replace(_better(study, made) if study.plan.references == "auto" else made(study), decision=decision)
 
@@ -116,7 +117,7 @@ def _planned(
     pool = build_pool(study, seed, earlier, executor)
 
     def scheduled(choice: Choice) -> Schedule | None:
-        return scheduled_choice(pool, choice, seed, home=home, free=free) if len(choice.q) else None
+        return scheduled_choice(choice, seed, home=home, free=free) if len(choice.q) else None
 
     bought = None
     reach = reach_of(pool, seed) if study.plan.refine and all_poses_count(pool) else None
@@ -127,16 +128,20 @@ def _planned(
         choice = sufficient(pool, seed, reach)
     else:
         choice = choose(pool, study.plan.poses, seed, reach)
-    return _proven(pool, choice, scheduled(choice) if bought is None else bought.schedule, bought, reach)
+    choice = replace(choice, pool=_renumbered(choice.pool, choice.visit_loads))
+    return _proven(choice, scheduled(choice) if bought is None else bought.schedule, bought, reach)
 
 
-def scheduled_choice(
-    pool: Pool, choice: Choice, seed: int, *, home: Floats | None = None, free: Free | None = None
-) -> Schedule:
+def _renumbered(pool: Pool, visit_loads: Ints) -> Pool:
+    """The pool with settings of loads numbered from 1 for those that a plan uses."""
+    watching = pool.observer
+    return replace(pool, observer=replace(watching, study=with_used_first(watching.study, np.unique(visit_loads))))
+
+
+def scheduled_choice(choice: Choice, seed: int, *, home: Floats | None = None, free: Free | None = None) -> Schedule:
     """Put the experiments of a choice in the order of measuring.
 
     Args:
-        pool: What it was chosen from.
         choice: The experiments, at least one.
         seed: Seed of the search.
         home: (joints,) where the robot comes from and goes around obstacles; None: the home of the constraints.
@@ -145,6 +150,7 @@ def scheduled_choice(
     Raises:
         Infeasible: No order avoids moves that are not free.
     """
+    pool = choice.pool
     covariance = covariance_of(pool.information(choice.own))
     measure = yardstick(pool.objective, covariance)
     return schedule(
@@ -160,8 +166,9 @@ def scheduled_choice(
     )
 
 
-def _proven(pool: Pool, choice: Choice, ordered: Schedule | None, bought: Bought | None, reach: Reach | None) -> Plan:
+def _proven(choice: Choice, ordered: Schedule | None, bought: Bought | None, reach: Reach | None) -> Plan:
     """The finished plan, with what is proven about it; its experiments stand as they are first visited."""
+    pool = choice.pool
     study, count = pool.observer.study, len(choice.q)
     purse = None if bought is None else bought.purse
     paid = np.zeros(count)

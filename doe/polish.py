@@ -2,7 +2,8 @@
 
 Minimises the criterion over everything that varies continuously, by L-BFGS-B (Byrd, Lu, Nocedal and Zhu 1995) with
 differences of each experiment's own block; what lies outside costs a penalty that grows with the distance. For blocks
-with symbolic derivatives `doe.refine` does the same with hard constraints.
+with symbolic derivatives `doe.refine` does the same with hard constraints. `descend` takes experiments that share some
+of what varies, such as a load that hangs at several of them.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from identify.arrays import Floats, Ints
 from identify.errors import NotIdentifiable
 from identify.threads import one_thread
 
-__all__ = ["polish"]
+__all__ = ["descend", "polish"]
 
 ASIDE = 0.002  # of the scale: the search starts this far from the plan, so that it leaves saddle points and parts twins
 SMOOTHING = (1e-2, 1e-3)  # of the criteria that are not smooth, one run each
@@ -56,10 +57,37 @@ def polish(region: Region, x: Floats, choice: Ints, target: Floats | None, crite
     return x, steps
 
 
-def _goal(region: Region, x: Floats, choice: Ints, target: Floats | None, criterion: str) -> _Goal:
+def descend(
+    region: Region, x: Floats, choice: Ints, target: Floats | None, criterion: str, shared: Ints
+) -> tuple[Floats, int]:
+    """Where a search from a plan leads if some of what varies is shared by several experiments.
+
+    Args:
+        region: What may be measured.
+        x: (n, d) what varies continuously; all may be measured.
+        choice: (n,) what does not.
+        target: As for `doe.exact.exact_design`.
+        criterion: test_pose, A, D, E or G.
+        shared: (n, d) variables of one number stay equal; they must have equal bounds and scales.
+
+    Returns:
+        (n, d) of a plan that may be a little outside or worse, and the number of iterations.
+    """
+    with one_thread():
+        try:
+            return _goal(region, x, choice, target, criterion, shared).run(x)
+        except NotIdentifiable:  # nothing to follow
+            return x, 0
+
+
+def _goal(
+    region: Region, x: Floats, choice: Ints, target: Floats | None, criterion: str, shared: Ints | None = None
+) -> _Goal:
     """The criterion in coordinates where the information of the given plan is I."""
     problem = make_problem(region.blocks(x, choice), target, criterion, None, None, None)
-    return _Goal(region, choice, problem.criterion, problem.space.basis)
+    numbers = np.arange(x.size) if shared is None else shared.ravel()
+    _, first, place = np.unique(numbers, return_index=True, return_inverse=True)
+    return _Goal(region, choice, problem.criterion, problem.space.basis, first, place.ravel())
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +99,16 @@ class _Goal:
         choice: (n,).
         criterion: In the coordinates of ``basis``.
         basis: (p, rank).
+        first: (z,) where each variable first stands in a plan, flattened.
+        place: (n d,) variable of each entry of a plan.
     """
 
     region: Region
     choice: Ints
     criterion: Criterion
     basis: Floats
+    first: Ints
+    place: Ints
 
     def value(self, x: Floats) -> float:
         """The criterion of a plan (n, d); infinite where its information is singular."""
@@ -90,24 +122,35 @@ class _Goal:
         from scipy.optimize import Bounds, minimize
 
         scale = np.where(self.region.scale > 0.0, self.region.scale, 1.0)
-        bounds = Bounds(*(np.tile(ends / scale, len(x)) for ends in (self.region.lower, self.region.upper)))
+        ends = (np.tile(ends / scale, len(x))[self.first] for ends in (self.region.lower, self.region.upper))
+        bounds = Bounds(*ends)
         aside = np.random.default_rng(0).uniform(-ASIDE, ASIDE, x.shape) * self.region.scale
-        at, steps = np.clip(x + aside, self.region.lower, self.region.upper), 0
+        at, steps = self._whole(self._own(np.clip(x + aside, self.region.lower, self.region.upper))), 0
         for share, depth in zip((0.0, 0.0) if self.criterion.smooth else SMOOTHING, DEPTHS, strict=True):
             unit = self.criterion.unit(_information(self.region.blocks(at, self.choice) @ self.basis))
             ended = minimize(
-                lambda flat, m=share * unit, u=unit, d=depth: self._rated(flat.reshape(x.shape) * scale, m, u, d),
-                (at / scale).ravel(),
+                lambda own, m=share * unit, u=unit, d=depth: self._rated(self._whole(own) * scale, m, u, d),
+                self._own(at / scale),
                 jac=True,
                 method="L-BFGS-B",
                 bounds=bounds,
                 options={"maxiter": ITERATIONS, "maxcor": 20, "ftol": 1e-10, "gtol": 1e-7},
             )
-            at, steps = ended.x.reshape(x.shape) * scale, steps + int(ended.nit)
+            at, steps = self._whole(ended.x) * scale, steps + int(ended.nit)
         return at, steps
 
+    def _own(self, x: Floats) -> Floats:
+        """(z,) variables of a plan (n, d)."""
+        own: Floats = x.ravel()[self.first]
+        return own
+
+    def _whole(self, own: Floats) -> Floats:
+        """Plan (n, d) of variables (z,)."""
+        x: Floats = own[self.place].reshape(len(self.choice), -1)
+        return x
+
     def _rated(self, x: Floats, mu: float, unit: float, depth: float) -> tuple[float, Floats]:
-        """What is minimised, and its derivative (n d,) in units of scale; ``unit`` is the size of the objective."""
+        """What is minimised, and its derivative (z,) in units of scale; ``unit`` is the size of the objective."""
         points, step = neighbours(self.region, x)
         count, around, size = points.shape
         choice = np.repeat(self.choice, around)
@@ -121,7 +164,7 @@ class _Goal:
             local = self.criterion.local(information, mu, None)
             height = self.criterion.objective(information, mu)
         except np.linalg.LinAlgError:
-            return 1e3, np.zeros(x.size)
+            return 1e3, np.zeros(len(self.first))
         if isinstance(self.criterion, Mean):
             height, unit = float(np.log(height)), height
         else:
@@ -130,7 +173,8 @@ class _Goal:
         slope = np.einsum("nkp,njkp->nj", pull, rows[:, 1:] - own[:, None])
         slope = (slope + penalty[:, 1:] - penalty[:, :1]) / step
         slope = np.where(self.region.scale > 0.0, slope, 0.0)
-        return height + float(penalty[:, 0].sum()), slope.ravel()
+        total = np.bincount(self.place, weights=slope.ravel()).astype(np.float64)
+        return height + float(penalty[:, 0].sum()), total
 
 
 def _information(rows: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""What one robot can be measured at beyond its candidates: any joint values that the constraints allow."""
+"""What one robot can be measured at beyond its candidates: any joint values and loads that the constraints allow."""
 
 from __future__ import annotations
 
@@ -11,86 +11,128 @@ from doe.ascent import Region
 from doe.candidates import Candidates, load_choices, rounded, sampled_range, stops_of
 from doe.continuous import Columns, Sample, continuous_columns
 from doe.feasible import FEASIBLE, REASONS, Screen, screen
+from doe.hung_frames import Hung, placed
+from doe.load_settings import values_of
 from doe.observations import Observer
+from doe.open_loads import LoadSpace, load_space
 from doe.pool import Pool
 from identify.arrays import Floats, Ints
-from identify.kinematics import forward
+from identify.study import Study
 
 __all__ = ["Reach", "joined_pool", "reach_of", "region_of"]
 
 _GAP = 1e-3  # relative, of the estimate: a tenth of what plans differ by
 _BESIDE = 2000  # candidates that an exchange looks at beside the columns
+_SHARE = 0.3  # size of a usual step of what a load leaves open, in parts of its range
 
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """All poses of a study.
+    """All visits of a study.
 
     Attributes:
-        region: Blocks on the identifiable parameters and constraints; a choice is a row of ``loads``.
-        loads: (C, L) choices of loads of one visit.
+        region: Blocks on the identifiable parameters and constraints; a point is joint values and shares of what loads
+            leave open, a choice one of ``space``.
+        space: The loads of visits.
         columns: The best relaxed design over them, with the estimated bound.
     """
 
     region: Region
-    loads: Ints
+    space: LoadSpace
     columns: Columns
+
+    def points(self, study: Study, q: Floats, visit_loads: Ints) -> tuple[Floats, Ints]:
+        """Points (n, d) and choices (n,) of visits: joint values (n, joints), rad or m, and loads (n, S) of a study."""
+        return _points(self.space, study, q, visit_loads)
+
+    @property
+    def held(self) -> Region:
+        """The region with loads that stay as they are."""
+        joints = np.arange(len(self.region.scale)) < self.space.study.robot.n
+        return replace(self.region, scale=np.where(joints, self.region.scale, 0.0))
 
 
 def reach_of(pool: Pool, seed: int) -> Reach:
-    """Search all poses for what the candidates of a pool miss.
+    """Search all poses, and all values of loads with ranges, for what the candidates of a pool miss.
+
+    Joint values and loads are searched together: an estimate over the joint values of a few settings would claim too
+    much, and settings that follow the joint values in turn get stuck where only both together gain.
 
     Args:
         pool: The candidates, their parameters and the criterion.
         seed: Of the starts.
     """
-    choices = load_choices(pool.observer.study)
-    region = region_of(pool.observer, pool.known.kept, choices)
-    which = (pool.candidates.visit_loads[:, None] == choices).all(axis=2).argmax(axis=1)
-    grid = Sample(pool.candidates.visit_q, which, pool.blocks)
+    study = pool.observer.study
+    space = load_space(study, load_choices(study))
+    region = region_of(pool.observer, pool.known.kept, space)
+    grid = Sample(*_points(space, study, pool.candidates.visit_q, pool.candidates.visit_loads), pool.blocks)
     aim = pool.objective
     rng = np.random.default_rng(seed)
     columns = continuous_columns(region, grid, aim.target(), aim.criterion, rng, tol=_GAP, executor=pool.executor)
-    return Reach(region, choices, columns)
+    return Reach(region, space, columns)
 
 
-def region_of(observer: Observer, kept: Ints, choices: Ints) -> Region:
-    """Blocks and constraints of a study over all joint values.
+def _points(space: LoadSpace, study: Study, q: Floats, visit_loads: Ints) -> tuple[Floats, Ints]:
+    """Points (n, d) and choices (n,) of visits."""
+    return np.hstack([q, space.shares(study, visit_loads)]), space.choice_of(study, visit_loads)
+
+
+def region_of(observer: Observer, kept: Ints, space: LoadSpace) -> Region:
+    """Blocks and constraints of a study over all joint values and what loads leave open.
 
     Args:
         observer: What turns poses into blocks.
         kept: (p,) kept columns of its model.
-        choices: (C, L) choices of loads.
+        space: The loads of visits.
     """
-    study, tests = observer.study, screen(observer.study)
+    study, tests = space.study, screen(space.study)
     lower, upper = sampled_range(study)
     scale = np.where(study.robot.prismatic, (upper - lower) / 3.0, 1.0)
     scale[list(stops_of(study))] = 0.0
+    shares = np.ones(len(space.shots))
 
-    return Region(partial(_blocks, observer, kept, choices), partial(_excess, tests, choices), lower, upper, scale)
-
-
-def _blocks(observer: Observer, kept: Ints, choices: Ints, q: Floats, choice: Ints) -> Floats:
-    """Blocks (m, k, p) of visits with the loads ``choices[choice]``."""
-    return observer.blocks(q, choices[choice])[:, :, kept]
+    ends = (np.append(lower, 0.0 * shares), np.append(upper, shares), np.append(scale, _SHARE * shares))
+    return Region(partial(_blocks, observer, kept, space), partial(_excess, tests, space), *ends)
 
 
-def _excess(tests: Screen, choices: Ints, q: Floats, choice: Ints) -> Floats:
-    """How far visits are inside of what they must keep clear of, m; infinite where all else forbids them, or 0."""
-    visit_loads = choices[choice]
-    codes = np.take_along_axis(tests.codes(q), visit_loads, axis=1).min(axis=1, initial=FEASIBLE)
+def _blocks(observer: Observer, kept: Ints, space: LoadSpace, x: Floats, choice: Ints) -> Floats:
+    """Blocks (m, k, p) of points."""
+    n = space.study.robot.n
+    if not space.open:
+        return observer.blocks(x, space.choices[choice])[:, :, kept]
+    visit_loads, loads = space.loads(x[:, n:], choice)
+    return observer.blocks(x[:, :n], visit_loads, loads=loads)[:, :, kept]
+
+
+def _excess(tests: Screen, space: LoadSpace, x: Floats, choice: Ints) -> Floats:
+    """How far points are beyond what is allowed, (m,), see `_overshoot`."""
+    n, visit_loads = space.study.robot.n, space.choices[choice]
+    if not space.open:
+        return _overshoot(tests, x, visit_loads, None)
+    parts = [_overshoot(tests, x[:, :n], visit_loads[:, shots], hung) for shots, hung in space.hung(x[:, n:], choice)]
+    return np.asarray(np.max(parts, axis=0))
+
+
+def _overshoot(tests: Screen, q: Floats, visit_loads: Ints, hung: Hung | None) -> Floats:
+    """How far visits are inside of what they must keep clear of, m, or beyond what may be carried, by share.
+
+    Infinite where all else forbids them, or 0.
+    """
+    codes = np.take_along_axis(tests.codes(q, hung), visit_loads, axis=1).min(axis=1, initial=FEASIBLE)
     excess = np.where(codes == FEASIBLE, 0.0, np.inf)
-    for reason, gap in tests.gaps.by_reason.items():
+    for reason, gap in tests.overshoots.items():
         rows = np.flatnonzero(codes == REASONS.index(reason))
         if len(rows):
-            gaps = gap(forward(tests.study.robot, q[rows]))
-            gaps = np.broadcast_to(gaps, (len(rows), len(tests.study.loads)))
-            excess[rows] = -np.take_along_axis(gaps, visit_loads[rows], axis=1).min(axis=1)
+            beyond = gap(placed(tests.study.robot, q[rows], None if hung is None else hung.taken(rows)))
+            beyond = np.broadcast_to(beyond, (len(rows), len(tests.study.loads)))
+            excess[rows] = np.take_along_axis(beyond, visit_loads[rows], axis=1).max(axis=1)
     return np.asarray(excess)
 
 
 def joined_pool(pool: Pool, reach: Reach, q: Floats, visit_loads: Ints, *, keep: Ints) -> Pool:
     """The columns, some candidates and the visits of a plan as one pool for an exchange.
+
+    A column takes that setting of its load which comes nearest, out of those of the plan where it has any.
 
     Args:
         pool: The candidates.
@@ -102,18 +144,36 @@ def joined_pool(pool: Pool, reach: Reach, q: Floats, visit_loads: Ints, *, keep:
     study, columns = pool.observer.study, reach.columns
     d = columns.sensitivities(pool.blocks)
     best = np.union1d(np.argsort(-d, kind="stable")[:_BESIDE], keep)
-    moved = np.concatenate([rounded(study, columns.found.x), q])
-    loads = np.concatenate([reach.loads[columns.found.choice], visit_loads])
-    moved, loads = _allowed(reach, moved, loads)
+    moved = np.concatenate([rounded(study, columns.found.x[:, : study.robot.n]), q])
+    loads = np.concatenate([_nearest(reach, study, np.unique(visit_loads)), visit_loads])
+    moved, loads = _allowed(reach, study, moved, loads)
     return _together(pool, best, moved, loads)
 
 
-def _allowed(reach: Reach, q: Floats, loads: Ints) -> tuple[Floats, Ints]:
-    """Visits that may be measured after rounding, each once."""
+def _nearest(reach: Reach, study: Study, used: Ints) -> Ints:
+    """(m, S) loads of a study that come nearest to those of the columns, the ``used`` ones where there are any."""
+    space, found = reach.space, reach.columns.found
+    if not space.open:
+        return space.choices[found.choice]
+    base, values = space.bases(study), np.array([values_of(load) for load in study.loads])
+    room = np.where(space.upper > space.lower, space.upper - space.lower, 1.0)
+    wanted = space.values(found.x[:, study.robot.n :], found.choice)
+    loads = np.empty(wanted.shape[:2], dtype=np.int64)
+    for kind in range(len(room)):
+        own = np.flatnonzero(base == kind)
+        own = np.intersect1d(own, used) if len(np.intersect1d(own, used)) else own
+        here = space.choices[found.choice] == kind
+        far = np.linalg.norm((wanted[here][:, None] - values[own]) / room[kind], axis=2)
+        loads[here] = own[np.argmin(far, axis=1)]
+    return loads
+
+
+def _allowed(reach: Reach, study: Study, q: Floats, loads: Ints) -> tuple[Floats, Ints]:
+    """Visits that may be measured after rounding, each once, and none that reads a load twice."""
     first = np.sort(np.unique(np.hstack([q, loads]), axis=0, return_index=True)[1])
     q, loads = q[first], loads[first]
-    which = (loads[:, None] == reach.loads).all(axis=2).argmax(axis=1)
-    good = reach.region.excess(q, which) <= 0.0
+    good = reach.region.excess(*reach.points(study, q, loads)) <= 0.0
+    good &= (np.diff(np.sort(loads, axis=1), axis=1) > 0).all(axis=1)
     return q[good], loads[good]
 
 

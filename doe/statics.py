@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from doe.hung_frames import attach_points, masses
 from identify.arrays import Floats, frozen
 from identify.kinematics import Frames
 from identify.springs import Springs, joint_springs, load_torque, self_weight_torque
 from identify.study import Study
 
-__all__ = ["Statics", "carried", "statics"]
+__all__ = ["Statics", "allowed_mass", "carried", "overload", "statics"]
 
 _ROUNDING = 1e-9  # relative: a load at a limit is allowed
+_PARTS = 16  # of a range of masses, where its lower end is too heavy
+_TURNS = 80  # to the limit at most; one or two are usual
+_INSIDE = 1e-10  # relative: how far below the limit the largest mass stays
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +44,28 @@ class Statics:
         """(N, L) True where a static moment or torque is above its limit; (N, 1) where none is stated."""
         if np.isinf(self.wrist).all() and np.isinf(self.torque).all():
             return np.zeros((len(frames.origin), 1), dtype=bool)
+        return self.excess(frames) > 0.0
+
+    def excess(self, frames: Frames) -> Floats:
+        """(N, L) by which share of its limit the worst static moment or torque is too large; not above 0 if none is.
+
+        Limits below 1 Nm or 1 N count as 1.
+        """
         joints = joint_springs(frames)
         tool = self._weight(joints, frames, frames.robot.tool_centre, frames.robot.tool_mass)
         weight = self_weight_torque(joints, frames)
         over = []
         for load in _load_torques(self.study, joints, frames):
-            moment = np.abs(tool + load) > self.wrist * (1 + _ROUNDING)
-            over.append((moment | (np.abs(weight + load) > self.torque * (1 + _ROUNDING))).any(axis=1))
+            both = [_share(np.abs(tool + load), self.wrist), _share(np.abs(weight + load), self.torque)]
+            over.append(np.maximum(*both).max(axis=1))
         return np.stack(over, axis=1)
+
+    def overload(self, frames: Frames) -> Floats:
+        """(N, L) by which share of what is allowed a load is too heavy; not above 0 where it is not."""
+        loads, count = self.study.loads, len(frames.origin)
+        mass = masses(frames, np.array([load.mass for load in loads]))
+        attach = attach_points(frames, np.array([load.attach for load in loads]))
+        return np.broadcast_to(overload(self.study, mass, attach), (count, len(loads)))
 
     @staticmethod
     def _weight(joints: Springs, frames: Frames, centre: Floats, mass: float) -> Floats:
@@ -55,14 +74,23 @@ class Statics:
         return load_torque(joints, frames.point(centre), force, np.zeros_like(force))
 
 
+def _share(value: Floats, limit: Floats) -> Floats:
+    """Share of their limits by which values of any shape exceed them; minus infinity where there is no limit."""
+    known = np.isfinite(limit)
+    highest = np.where(known, limit, 0.0)
+    excess = (value - highest * (1.0 + _ROUNDING)) / np.maximum(highest, 1.0)
+    return np.where(known, excess, -np.inf)
+
+
 def _load_torques(study: Study, joints: Springs, frames: Frames) -> list[Floats]:
     """Torque or force (N, n) of each load of the study on the joints, Nm or N."""
-    robot = study.robot
-    found = []
-    for load in study.loads:
+    robot, found = study.robot, []
+    attach = attach_points(frames, np.array([load.attach for load in study.loads]))
+    mass = masses(frames, np.array([load.mass for load in study.loads]))
+    for i, load in enumerate(study.loads):
         stated = [_in_base(frames, vector, load.in_flange) for vector in (load.force, load.moment)]
-        force = stated[0] + load.mass * robot.gravity_base
-        found.append(load_torque(joints, frames.point(load.attach), force, stated[1]))
+        point = frames.point(attach[0, i] if len(attach) == 1 else attach[:, i])
+        found.append(load_torque(joints, point, stated[0] + mass[:, i, None] * robot.gravity_base, stated[1]))
     return found
 
 
@@ -85,18 +113,82 @@ def statics(study: Study) -> Statics:
 
 
 def carried(study: Study) -> np.ndarray:
-    """(L,) True where rated payload and payload diagram allow a load together with the tool.
+    """(L,) True where rated payload and payload diagram allow a load of the study together with the tool."""
+    loads = study.loads
+    return overload(study, np.array([load.mass for load in loads]), np.array([load.attach for load in loads])) <= 0.0
+
+
+def overload(study: Study, mass: Floats, attach: Floats) -> Floats:
+    """By which share of what payload and payload diagram allow hung masses are too heavy together with the tool.
 
     The distance of the diagram is that of the common centre of tool and hung mass (at its attach point) from the
-    flange origin. An unknown payload allows everything.
+    flange origin. An unknown payload allows everything; an allowed mass below 1 kg counts as 1 kg.
+
+    Args:
+        study: The study.
+        mass: (...) kg.
+        attach: (..., 3) where they hang, flange frame, m.
+
+    Returns:
+        (...) not above 0 where allowed.
     """
-    robot, constraints = study.robot, study.constraints
-    mass = np.array([load.mass for load in study.loads]) + robot.tool_mass
-    payload = robot.payload * constraints.payload_share
-    allowed = ~(mass > payload * (1 + _ROUNDING))
-    if constraints.payload_diagram is None:
-        return np.asarray(allowed)
-    moment = np.array([load.mass * load.attach for load in study.loads]) + robot.tool_mass * robot.tool_centre
-    distance = np.linalg.norm(moment, axis=1) / np.where(mass > 0.0, mass, 1.0)
-    limit = constraints.payload_diagram.allowed(distance) * (1 + _ROUNDING)
-    return np.asarray(allowed & ((mass <= limit) | (mass == 0.0)))
+    robot, diagram = study.robot, study.constraints.payload_diagram
+    total = mass + robot.tool_mass
+    limit = np.broadcast_to(robot.payload * study.constraints.payload_share, total.shape)
+    if diagram is not None:
+        moment = mass[..., None] * attach + robot.tool_mass * robot.tool_centre
+        distance = np.linalg.norm(moment, axis=-1) / np.where(total > 0.0, total, 1.0)
+        limit = np.fmin(limit, diagram.allowed(distance))  # an unknown payload is nan
+    return _share(total, limit)
+
+
+def allowed_mass(study: Study, attach: Floats, lower: Floats, upper: Floats) -> Floats:
+    """The largest mass of a range that payload and payload diagram allow.
+
+    Args:
+        study: The study.
+        attach: (m, 3) where it hangs, flange frame, m.
+        lower: (m,) least masses, kg.
+        upper: (m,) largest masses, kg.
+
+    Returns:
+        (m,) kg, allowed unless no mass of the range is; then the least one.
+    """
+    found = np.array(upper)
+    rest = np.flatnonzero(overload(study, upper, attach) > 0.0)
+    low, high, place = lower[rest], upper[rest], attach[rest]
+    heavy = overload(study, low, place) > 0.0
+    if heavy.any():  # with a tool further out, light loads may be too far out and heavier ones not
+        low[heavy], high[heavy] = _bracket(study, place[heavy], low[heavy], high[heavy])
+    found[rest] = _limit(lambda mass: overload(study, mass, place) + _INSIDE, low, high)
+    return found
+
+
+def _bracket(study: Study, attach: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    """The heaviest mass (m,) of some that is allowed, and the next one; the least mass twice where none is."""
+    share = np.linspace(0.0, 1.0, _PARTS + 1)
+    tried = lower[:, None] + (upper - lower)[:, None] * share
+    good = overload(study, tried, np.repeat(attach[:, None], len(share), axis=1)) <= 0.0
+    last = (good * np.arange(len(share))).max(axis=1)
+    row = np.arange(len(tried))
+    return tried[row, last], np.where(good.any(axis=1), tried[row, np.minimum(last + 1, _PARTS)], lower)
+
+
+def _limit(excess: Callable[[Floats], Floats], low: Floats, high: Floats) -> Floats:
+    """Where functions rise through zero between ``low`` (m,) and ``high`` (m,); ``low`` where they do not.
+
+    Secants and halvings in turn: functions are nearly linear, but may jump where the diagram ends.
+    """
+    left, right = excess(low), excess(high)
+    crossed = (left < 0.0) & (right > 0.0)
+    at, value = low, left
+    for step in range(_TURNS):
+        share = np.where(crossed, -left / np.where(crossed, right - left, 1.0), 0.0) if step % 2 == 0 else 0.5
+        at = low + share * (high - low)
+        value = excess(at)
+        if (np.abs(value[crossed]) < 0.1 * _INSIDE).all():
+            break
+        below = value < 0.0
+        low, left = np.where(below, at, low), np.where(below, value, left)
+        high, right = np.where(below, high, at), np.where(below, right, value)
+    return np.where(crossed & (value < _INSIDE), np.maximum(at, low), low)

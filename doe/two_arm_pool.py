@@ -93,7 +93,7 @@ def drawn(study: TwoArmStudy, side: int, seed: int) -> Candidates:
     if open_choices(own):
         raise InputError(
             f"{own.path}: the tracker's station or the markers are still to be chosen; plan this arm alone first and "
-            "name the chosen.toml that this writes in [[arms]] study"
+            "name the planned.toml that this writes in [[arms]] study"
         )
     count = max(study.plan.candidates // 2, 1)
     return candidates(replace(own, plan=replace(own.plan, candidates=count)), seed=seed)

@@ -8,6 +8,7 @@ import numpy as np
 
 from doe.capsules import Capsules, sample_frames
 from doe.distances import segment_box_distance, segment_distance
+from doe.hung_frames import attach_points
 from identify.arrays import Floats, frozen
 from identify.kinematics import Frames
 from identify.study import Study
@@ -50,7 +51,7 @@ class Weights:
 
     def tops(self, frames: Frames) -> Floats:
         """(N, L, 3) attach points, base frame, m."""
-        turned: Floats = np.einsum("vij,lj->vli", frames.flange_rotation, self.attach)
+        turned: Floats = attach_points(frames, self.attach) @ frames.flange_rotation.swapaxes(1, 2)
         return frames.flange_origin[:, None] + turned
 
     def below(self, tops: Floats, depth: Floats) -> Floats:

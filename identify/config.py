@@ -37,6 +37,7 @@ from identify.study_file import STUDY_SECTIONS, StudyFile
 from identify.study_records import (
     constraints,
     load_cases,
+    load_ranges,
     markers,
     noise_from,
     plan_settings,
@@ -237,4 +238,5 @@ def _study(file: StudyFile, path: Path, robot: Robot, robot_file: Path, *, timed
         marker_choices=tuple(file.marker_choices.points if file.marker_choices else ()),
         times=times_from(file.times) if timed and file.times is not None else None,
         load_costs=tuple(costs.get(load.name, 0.0) for load in loads),
+        load_ranges=MappingProxyType(load_ranges(file.loads or [])),
     )

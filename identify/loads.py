@@ -1,4 +1,4 @@
-"""What hangs on the flange: load cases and measuring points."""
+"""What hangs on the flange: load cases, what a plan may choose of them, and measuring points."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from identify.arrays import Floats, frozen
 
-__all__ = ["LoadCase", "Markers"]
+__all__ = ["LoadCase", "LoadRange", "Markers"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +54,31 @@ class LoadCase:
     def depth(self) -> float:
         """How far the lowest point hangs below the attach point, m."""
         return self.hang + float(self.size[2])
+
+
+@dataclass(frozen=True, eq=False)
+class LoadRange:
+    """What a plan may choose of one load: mass, kg, and attach point x, y, z, flange frame, m.
+
+    Attributes:
+        of: Id of the load in the study file; several settings of one load share it.
+        lower: (4,) least values.
+        upper: (4,) largest values; equal to ``lower`` where there is no choice.
+    """
+
+    of: str
+    lower: Floats
+    upper: Floats
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for key in ("lower", "upper"):
+            object.__setattr__(self, key, frozen(getattr(self, key)))
+
+    @property
+    def open(self) -> np.ndarray:
+        """(4,) True for values that may be chosen."""
+        return np.asarray(self.upper > self.lower)
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,6 +91,8 @@ class LoadSection(Section):
     attach_std_mm: NotNegative = 0.0
     size_mm: Annotated[list[Positive], Field(min_length=3, max_length=3)] | None = None
     hang_mm: NotNegative = 0.0
+    mass_range_kg: Annotated[list[NotNegative], Field(min_length=2, max_length=2)] | None = None
+    attach_range_mm: Annotated[list[Vector], Field(min_length=2, max_length=2)] | None = None
     wrench: Wrench = [0.0] * 6
     frame: Axes = "world"
     cost: NotNegative = 0.0
@@ -194,6 +196,7 @@ class PlanSection(TwoArmPlanSection):
 
     loads: Annotated[list[Id], Field(min_length=1)] | None = None
     loads_per_pose: Count = 1
+    settings_per_load: Annotated[Count, Field(le=64)] = 8
     reference_rows: Switch = True
     stations: Annotated[list[Id], Field(min_length=1)] | None = None
     markers: Count | None = None

@@ -13,7 +13,7 @@ import numpy as np
 from identify.arrays import Floats, frozen
 from identify.beams import Tube
 from identify.cell import Box, PayloadDiagram, Station, Visibility, Wall
-from identify.loads import LoadCase, Markers
+from identify.loads import LoadCase, LoadRange, Markers
 from identify.robot import Robot
 from identify.units import DEG, MM
 
@@ -151,6 +151,7 @@ class PlanSettings:
         candidates: Number of candidate experiments.
         refine: Refine the joint angles continuously.
         loads_per_pose: Loaded shots of one visit.
+        settings_per_load: Settings of a load with ranges among the candidates.
         reference_rows: Each visit also reads the unloaded state.
         repeats: One candidate may be measured several times.
         max_std_percent: No parameter's std may exceed this percentage of its std under the best A plan.
@@ -177,6 +178,7 @@ class PlanSettings:
     candidates: int = 10_000
     refine: bool = True
     loads_per_pose: int = 1
+    settings_per_load: int = 8
     reference_rows: bool = True
     repeats: bool = True
     max_std_percent: float = 300.0
@@ -329,6 +331,7 @@ class Study:
         marker_choices: Names of the markers that the plan chooses from; they stand among ``markers``.
         times: How long measuring takes, or None if the study does not say.
         load_costs: Cost of a reading under each load; empty: none costs anything.
+        load_ranges: What a plan may choose, by name of a load; ``loads`` holds the nominal values, which all else uses.
     """
 
     path: Path
@@ -365,6 +368,7 @@ class Study:
 
     times: Times | None = None
     load_costs: tuple[float, ...] = ()
+    load_ranges: Mapping[str, LoadRange] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def joint_units(self) -> np.ndarray:

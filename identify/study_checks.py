@@ -33,6 +33,7 @@ def check_study(file: StudyFile, robot: Robot | None, problems: Problems) -> Non
     """Note what is wrong between values."""
     _check_markers(file, problems)
     _check_loads(file, robot, problems)
+    _check_ranges(file.loads or [], file.plan or PlanSection(), problems)
     if file.noise is not None and not problems.found("[noise"):
         _check_noise(file.noise, problems)
     if file.model is not None:
@@ -98,6 +99,43 @@ def _check_loads(file: StudyFile, robot: Robot | None, problems: Problems) -> No
             problems.add(
                 f"[[loads]] {i + 1} mass_kg", f"load above payload{tool}: at most {allowed:g} kg{of}", load.mass_kg
             )
+
+
+def _check_ranges(loads: list[LoadSection], plan: PlanSection, problems: Problems) -> None:
+    """Ranges that hold the nominal value, of loads that load the robot and that the plan chooses from."""
+    for i, load in enumerate(loads):
+        reason = _no_choice(load, plan)
+        for key in ("mass_range_kg", "attach_range_mm"):
+            given, entry = getattr(load, key), f"[[loads]] {i + 1} {key}"
+            if given is not None and reason is not None:
+                problems.add(entry, reason, given)
+            elif key == "mass_range_kg" and given is not None:
+                _check_span(given, load.mass_kg, entry, "mass_kg", problems)
+                if given[0] == 0.0 and not any(load.wrench):
+                    problems.add(entry, "must begin above 0: without a mass nothing hangs", given)
+            elif given is not None:
+                for axis, first, last, nominal in zip("xyz", *given, load.attach_mm, strict=True):
+                    _check_span([first, last], nominal, f"{entry}, {axis}", "attach_mm", problems)
+
+
+def _no_choice(load: LoadSection, plan: PlanSection) -> str | None:
+    """Why a load must have no ranges, or None."""
+    if load.mass_kg == 0.0 and not any(load.wrench):
+        return f"{load.id} is unloaded, so there is nothing to choose; give mass_kg inside the range, or leave it out"
+    if plan.loads is not None and load.id not in plan.loads:
+        return f"the plan does not choose {load.id}; add it to [plan] loads = {plan.loads}, or leave the range out"
+    return None
+
+
+def _check_span(ends: list[float], nominal: float, where: str, key: str, problems: Problems) -> None:
+    """A lower end that is not above the upper one, and a nominal value between them."""
+    first, last = ends
+    if last < first:
+        said = f"reversed: the lower end comes first, the upper end must be at least {first:g}"
+        problems.add(where, said, ends)
+    elif not first <= nominal <= last:
+        said = f"must hold the nominal value {key} = {nominal:g}; widen the range or move the nominal value"
+        problems.add(where, said, ends)
 
 
 def _check_noise(noise: NoiseSection, problems: Problems) -> None:

@@ -18,7 +18,7 @@ from identify.cell_sections import (
     StationSection,
     VisibilitySection,
 )
-from identify.loads import LoadCase, Markers
+from identify.loads import LoadCase, LoadRange, Markers
 from identify.robot import Robot
 from identify.schema import (
     ArmPoseSection,
@@ -38,6 +38,7 @@ from identify.units import DEG, GPA, MM, UM, URAD
 __all__ = [
     "constraints",
     "load_cases",
+    "load_ranges",
     "markers",
     "noise_from",
     "plan_settings",
@@ -94,6 +95,19 @@ def load_cases(tables: Iterable[LoadSection]) -> tuple[LoadCase, ...]:
     if any(case.unloaded or case.name == "L0" for case in cases):
         return cases
     return (LoadCase("L0"), *cases)
+
+
+def load_ranges(tables: Iterable[LoadSection]) -> dict[str, LoadRange]:
+    """What a plan may choose, by id of a load; loads whose ranges leave no choice are left out."""
+    found = {}
+    for table in tables:
+        masses = [table.mass_kg] * 2 if table.mass_range_kg is None else table.mass_range_kg
+        places = [table.attach_mm] * 2 if table.attach_range_mm is None else table.attach_range_mm
+        lower, upper = (np.append(mass, frozen(place) * MM) for mass, place in zip(masses, places, strict=True))
+        span = LoadRange(table.id, lower, upper)
+        if span.open.any():
+            found[table.id] = span
+    return found
 
 
 def noise_from(table: NoiseSection, base: Noise) -> Noise:
@@ -178,6 +192,7 @@ def plan_settings(table: PlanSection, loads: Sequence[LoadCase], possible: Seque
         candidates=table.candidates,
         refine=table.refine,
         loads_per_pose=table.loads_per_pose,
+        settings_per_load=table.settings_per_load,
         reference_rows=table.reference_rows,
         repeats=table.repeats,
         max_std_percent=table.max_std_percent,

@@ -31,6 +31,13 @@ def check_arms(study: TwoArmStudy, problems: Problems) -> None:
                 "loads nothing, so no stiffness of this arm would show; state a mass or a wrench under its [[loads]]",
                 arm.study.path.name,
             )
+        if arm.study.load_ranges:
+            problems.add(
+                f"[[arms]] {index + 1} study",
+                f"the load {next(iter(arm.study.load_ranges))} has mass_range_kg or attach_range_mm, which only a plan "
+                "for one arm chooses; leave the ranges out and state the values to be hung",
+                arm.study.path.name,
+            )
     models = _models(study, problems)
     if not study.shared:
         if np.allclose(first.base, second.base, rtol=0.0, atol=_SAME):

@@ -350,29 +350,27 @@ def _load_torque(
 
 
 def _alike(experiment: Experiment) -> Iterator[Ints]:
-    """Loaded shots that are computed together: all that were measured, else those of each load case."""
+    """Loaded shots that are computed together: all that were measured, else those whose force turns with the flange."""
     loaded = ~experiment.shot_unloaded
     if experiment.wrench is not None:
         yield np.flatnonzero(loaded)
         return
-    for index in range(len(experiment.loads)):
-        yield np.flatnonzero((experiment.shot_load == index) & loaded)
+    turning = np.array([load.in_flange for load in experiment.loads])[experiment.shot_load]
+    for sort in (False, True):
+        yield np.flatnonzero(loaded & (turning == sort))
 
 
 def _wrench(experiment: Experiment, shots: Ints, frames: Frames) -> tuple[Floats, Floats, Floats]:
     """Point, force and moment (S, 3) that act in shots which are alike, base frame; ``frames`` are theirs."""
+    loads, index = experiment.loads, experiment.shot_load[shots]
+    attach = frames.point(np.array([load.attach for load in loads])[index])
     if experiment.wrench is not None:
-        attach = np.array([load.attach for load in experiment.loads])[experiment.shot_load[shots]]
-        return frames.point(attach), *_measured(experiment, shots, frames)
-    load, robot = experiment.loads[experiment.shot_load[shots[0]]], frames.robot
-    turn = frames.flange_rotation if load.in_flange else robot.world_R_base.T[None]
-    shape = frames.flange_origin.shape
-    force = turn @ load.force + load.mass * robot.gravity_base
-    return (
-        frames.point(load.attach),
-        np.broadcast_to(force, shape),
-        np.broadcast_to(turn @ load.moment, shape),
-    )
+        return attach, *_measured(experiment, shots, frames)
+    robot = frames.robot
+    turn = frames.flange_rotation if loads[index[0]].in_flange else robot.world_R_base.T[None]
+    force, moment = (np.array([getattr(load, key) for load in loads])[index, :, None] for key in ("force", "moment"))
+    weight = np.array([load.mass for load in loads])[index, None] * robot.gravity_base
+    return attach, (turn @ force)[:, :, 0] + weight, (turn @ moment)[:, :, 0]
 
 
 def _measured(experiment: Experiment, shots: Ints, frames: Frames) -> tuple[Floats, Floats]:

@@ -101,22 +101,22 @@ def test_a_plan_leaves_a_study_with_the_choices_made_that_gives_the_same_figures
     path = choosing(tmp_path)
     made = run_plan(path, seed=1, out=tmp_path / "out")
     choices = made.content["choices"]
-    assert made.content["chosen_study"] == "chosen.toml"
+    assert made.content["chosen_study"] == "planned.toml"
     assert made.lines[0].startswith(f"chosen: tracker at {choices['station']} and markers ")
-    chosen = tomllib.loads(made.tables["chosen.toml"])
+    chosen = tomllib.loads(made.tables["planned.toml"])
     assert set(chosen["markers"]) == {"M1", *choices["markers"]}
     assert [place["id"] for place in chosen["tracker_stations"]] == [choices["station"]]
     assert not {"markers", "stations"} & set(chosen["plan"])
-    (tmp_path / "chosen.toml").write_text(made.tables["chosen.toml"])
+    (tmp_path / "planned.toml").write_text(made.tables["planned.toml"])
     (tmp_path / "plan.csv").write_text(made.tables["plan.csv"])
-    again = run_plan(tmp_path / "chosen.toml", seed=1, out=tmp_path / "out")
+    again = run_plan(tmp_path / "planned.toml", seed=1, out=tmp_path / "out")
     assert again.tables["plan.csv"] == made.tables["plan.csv"]
     assert again.content["choices"] is None
-    for study_path in (path, tmp_path / "chosen.toml"):
+    for study_path in (path, tmp_path / "planned.toml"):
         judged = run_evaluate(study_path, tmp_path / "plan.csv", seed=1).content
         assert judged["criterion"]["value"] == pytest.approx(made.content["criterion"]["value"], rel=1e-9)
         assert judged["visits_rejected"] == {}
-    read = run_simulate(tmp_path / "chosen.toml", tmp_path / "plan.csv", None, seed=0).tables["measurements.csv"]
+    read = run_simulate(tmp_path / "planned.toml", tmp_path / "plan.csv", None, seed=0).tables["measurements.csv"]
     assert {line.split(",")[2] for line in read.splitlines()[1:]} == set(chosen["markers"])
 
 
