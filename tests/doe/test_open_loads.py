@@ -250,7 +250,7 @@ def test_visits_share_moved_loads_which_keep_every_limit(tmp_path, monkeypatch):
     assert check(after, found.q, found.visit_loads).ok.all()
     moved = np.array([values_of(after.loads[index]) for index in np.unique(found.visit_loads[:, 1])])
     np.testing.assert_array_equal(as_hung(after, made.load_ranges["W.1"], moved), moved)
-    own = pool.observer.blocks(found.q, found.visit_loads, after.loads)[:, :, pool.known.kept]
+    own = pool.observer.blocks(found.q, found.visit_loads, loads=after.loads)[:, :, pool.known.kept]
     np.testing.assert_array_equal(found.blocks, own)
 
 
