@@ -10,11 +10,11 @@ import numpy as np
 from doe.candidates import rounded
 from doe.feasible import screen
 from doe.guard import Guard, blind_spot, guarded_search
-from doe.off_grid import OffGrid, Visits, off_grid, search_off_grid
+from doe.off_grid import OffGrid, Visits, off_grid, others_of, search_off_grid
 from doe.pool import Pool
 from doe.purse import Purse
 from doe.reach import Reach
-from doe.refine import Others, Refinement
+from doe.refine import Refinement
 from doe.robustness import value_that_counts
 from identify.arrays import Floats, Ints
 
@@ -95,10 +95,10 @@ def choose(
 
 
 def all_poses_count(pool: Pool) -> bool:
-    """True if a plan is searched among all poses: nothing was measured or refused before, and nothing may be lost."""
+    """True if a plan is searched among all poses: their number is known beside measured ones, and none may be lost."""
     asked = pool.observer.study.plan
     plain = asked.losses == 0 and not pool.draws and not asked.budgeted
-    return plain and pool.prior is None and not len(pool.earlier.refused)
+    return plain and (pool.prior is None or bool(asked.poses))
 
 
 def _moved_beside(pool: Pool, chosen: Ints, start: Visits, most: Floats | None) -> tuple[Visits, Refinement]:
@@ -133,13 +133,3 @@ def _part_of_the_way(pool: Pool, q: Floats, loads: Ints, refined: Floats) -> tup
         if value < least:
             best, blocks, least = moved, own, value
     return best, blocks
-
-
-def others_of(prior: Floats | None) -> Others | None:
-    """Rows (p, p) that carry the information ``prior``, as what stays beside the moved visits; None without one."""
-    if prior is None:
-        return None
-    scale = np.sqrt(np.maximum(np.diag(prior), 1e-300))
-    values, vectors = np.linalg.eigh(prior / scale / scale[:, None])
-    rows = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
-    return Others(rows, np.arange(len(prior)))

@@ -103,6 +103,7 @@ def continuous_columns(
     criterion: str,
     rng: np.random.Generator,
     *,
+    prior: Floats | None = None,
     tol: float = CLOSED,
     executor: Executor = HERE,
 ) -> Columns:
@@ -114,6 +115,7 @@ def continuous_columns(
         target: As for `doe.approximate.approximate_design`.
         criterion: test_pose, A, D, E or G.
         rng: Chooses starts.
+        prior: (p, p) information that is there already, on the scale of one experiment, or None.
         tol: Relative gap at which the search may end.
         executor: Who climbs, some starts at a time.
 
@@ -121,7 +123,7 @@ def continuous_columns(
         NotIdentifiable: The candidates cannot show what the criterion needs.
     """
     with one_thread():
-        search = _Search(region, grid, target, criterion, rng, executor)
+        search = _Search(region, grid, target, criterion, rng, prior, executor)
         return search.run(tol)
 
 
@@ -141,11 +143,12 @@ class _Search:
         target: Floats | None,
         criterion: str,
         rng: np.random.Generator,
+        prior: Floats | None,
         executor: Executor,
     ) -> None:
         self.region, self.grid, self.target, self.criterion, self.rng = region, grid, target, criterion, rng
-        self.executor = executor
-        problem = make_problem(grid.blocks, target, criterion, None, None, None)
+        self.prior, self.executor = prior, executor
+        problem = make_problem(grid.blocks, target, criterion, None, prior, None)
         found = best_weights(problem, 1e-4)
         self.order = np.argsort(-found.d, kind="stable")
         used = np.flatnonzero(found.u > 0.0)
@@ -168,17 +171,18 @@ class _Search:
             largest = max(
                 float(d.max()), float(found.d.max()), float(Blocks(self.grid.blocks).sensitivities(factor).max())
             )
-            self.value, self.bound = found.certificate.value, found.certificate.numerator / largest
+            self.value = found.certificate.value
+            self.bound = found.certificate.numerator / (largest + problem.fixed(found.certificate))
             closed = 1.0 - self.bound / self.value <= tol
             if asked and (closed or stalled):
                 break
             asked = closed
-            self._enlarge(found, x, starts.choice, d)
+            self._enlarge(problem, found, x, starts.choice, d)
         return Columns(self.columns, self.value, min(self.bound, self.value), factor, rounds)
 
     def _relaxed(self, tol: float) -> tuple[Problem, Found]:
         """The relaxed design on the present columns."""
-        problem = make_problem(self.columns.blocks, self.target, self.criterion, None, None, None)
+        problem = make_problem(self.columns.blocks, self.target, self.criterion, None, self.prior, None)
         return problem, best_weights(problem, tol, PASSES)
 
     def _starts(self, found: Found, count: int) -> Sample:
@@ -207,9 +211,9 @@ class _Search:
         ended = list(self.executor.map(work, [(x[part], choice[part]) for part in parts]))
         return np.concatenate([x[:0], *(each[0] for each in ended)]), np.concatenate([[], *(each[1] for each in ended)])
 
-    def _enlarge(self, found: Found, x: Floats, choice: Ints, d: Floats) -> None:
+    def _enlarge(self, problem: Problem, found: Found, x: Floats, choice: Ints, d: Floats) -> None:
         """Add what would improve the design, and drop what has no part in it."""
-        level = found.certificate.numerator / found.certificate.value
+        level = found.certificate.numerator / found.certificate.value - problem.fixed(found.certificate)
         hopeful = np.flatnonzero(d > level * (1.0 + 1e-7))
         hopeful = hopeful[np.argsort(-d[hopeful], kind="stable")]
         hopeful = hopeful[self._distinct(x[hopeful], choice[hopeful], SAME)]

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from doe.candidates import rounded
+from doe.earlier import Earlier
 from doe.feasible import screen
 from doe.load_settings import as_hung, with_setting
 from doe.polish import descend
@@ -60,12 +61,13 @@ def move_loads(pool: Pool, reach: Reach, q: Floats, visit_loads: Ints) -> MovedL
     """
     study, aim = pool.observer.study, pool.objective
     x, choice = reach.points(study, q, visit_loads)
-    ended, steps = descend(reach.region, x, choice, aim.target(), aim.criterion, _shared(reach, x, visit_loads))
+    shared = _shared(reach, x, visit_loads)
+    ended, steps = descend(reach.region, x, choice, aim.target(), aim.criterion, shared, pool.prior)
     best, least = None, np.inf
     for part in _PARTS:
         shares = (x + part * (ended - x))[:, study.robot.n :]
         further, loads = _as_hung(study, reach, shares, choice, visit_loads)
-        back = _back(further, ended[:, : study.robot.n], q, loads)
+        back = _back(further, pool.earlier, ended[:, : study.robot.n], q, loads)
         if back is None or np.array_equal(loads, visit_loads):
             continue
         blocks = pool.observer.blocks(back, loads, loads=further.loads)[:, :, pool.known.kept]
@@ -96,14 +98,16 @@ def _as_hung(study: Study, reach: Reach, shares: Floats, choice: Ints, visit_loa
     return further, loads
 
 
-def _back(study: Study, ended: Floats, q: Floats, loads: Ints) -> Floats | None:
+def _back(study: Study, earlier: Earlier, ended: Floats, q: Floats, loads: Ints) -> Floats | None:
     """Joint values (n, joints) on the way from where the search ended to the given ones that may be measured first.
 
     None where a visit may be measured nowhere on its way.
     """
     tried = rounded(study, q + _BACK[:, None, None] * (ended - q))
     parts, count, joints = tried.shape
-    good = screen(study).check(tried.reshape(-1, joints), np.tile(loads, (parts, 1))).ok.reshape(parts, count)
+    flat = tried.reshape(-1, joints)
+    allowed = screen(study).check(flat, np.tile(loads, (parts, 1))).ok & earlier.clear(study, flat)
+    good = allowed.reshape(parts, count)
     if not good.any(axis=0).all():
         return None
     back: Floats = tried[good.argmax(axis=0), np.arange(count)]

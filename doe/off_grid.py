@@ -21,7 +21,7 @@ from doe.reach import Reach, joined_pool
 from doe.refine import Others, Refinement, can_refine, refine
 from identify.arrays import Floats, Ints
 
-__all__ = ["OffGrid", "Visits", "off_grid", "search_off_grid"]
+__all__ = ["OffGrid", "Visits", "off_grid", "others_of", "search_off_grid"]
 
 _EXCHANGES = 3  # with the columns off the grid; one or two are usual
 _TURNS = 4  # of loads and joint angles
@@ -51,7 +51,7 @@ class OffGrid:
 
     def value(self, plan: Visits) -> float:
         """The criterion; infinite for a plan that the study does not allow."""
-        information, repeats = information_of(plan.blocks), self.pool.observer.settings.repeats
+        information, repeats = self.pool.information(plan.blocks), self.pool.observer.settings.repeats
         blind = self.most is not None and (standard_deviations(information) > self.most * (1.0 + 1e-6)).any()
         twice = not repeats and len(np.unique(plan.q, axis=0)) < len(plan.q)
         return float("inf") if blind or twice else self.pool.objective.value(information)
@@ -117,7 +117,9 @@ def _moved(search: OffGrid, chosen: Ints, plan: Visits) -> tuple[Visits, Refinem
     pool = search.pool
     watching, kept, aim = pool.observer, pool.known.kept, pool.objective
     if can_refine(watching, aim.criterion) is None:
-        q, blocks, refinement = off_grid(watching, kept, aim, chosen, plan.q, plan.loads, search.most)
+        q, blocks, refinement = off_grid(
+            watching, kept, aim, chosen, plan.q, plan.loads, search.most, others_of(pool.prior), pool.earlier
+        )
         return Visits(q, plan.loads, blocks), refinement
     return _polished(search, chosen, plan)
 
@@ -127,7 +129,7 @@ def _polished(search: OffGrid, chosen: Ints, plan: Visits) -> tuple[Visits, Refi
     pool, reach = search.pool, search.reach
     watching, kept, aim = pool.observer, pool.known.kept, pool.objective
     x, which = reach.points(watching.study, plan.q, plan.loads)
-    ended, steps = polish(reach.held, x, which, aim.target(), aim.criterion)
+    ended, steps = polish(reach.held, x, which, aim.target(), aim.criterion, pool.prior)
     ended = ended[:, : watching.study.robot.n]
 
     def at(q: Floats) -> Visits:
@@ -136,9 +138,10 @@ def _polished(search: OffGrid, chosen: Ints, plan: Visits) -> tuple[Visits, Refi
     before, tests = search.value(plan), screen(watching.study)
     for share in (1.0, 0.5, 0.25):  # a limit of a standard deviation may end the way early
         q = rounded(watching.study, plan.q + share * (ended - plan.q))
-        q = _together(lambda values: aim.value(information_of(at(values).blocks)), chosen, q)
+        q = _together(lambda values: aim.value(pool.information(at(values).blocks)), chosen, q)
         moved = at(q)
-        if search.value(moved) < before and tests.check(q, plan.loads).ok.all():
+        allowed = tests.check(q, plan.loads).ok & pool.earlier.clear(watching.study, q)
+        if search.value(moved) < before and allowed.all():
             return moved, Refinement(q, before, search.value(moved), steps, _DIFFERENCES)
     reason = "no better plan that keeps all limits was found near this one"
     return plan, Refinement(plan.q, before, before, steps, _DIFFERENCES, reason)
@@ -233,3 +236,13 @@ def _together(value: Callable[[Floats], float], chosen: Ints, q: Floats) -> Floa
         if len(visits) > 1 and value(tidy) <= reached * (1.0 + _HARDLY):
             q = tidy
     return q
+
+
+def others_of(prior: Floats | None) -> Others | None:
+    """Rows (p, p) that carry the information ``prior``, as what stays beside the moved visits; None without one."""
+    if prior is None:
+        return None
+    scale = np.sqrt(np.maximum(np.diag(prior), 1e-300))
+    values, vectors = np.linalg.eigh(prior / scale / scale[:, None])
+    rows = (vectors * np.sqrt(np.maximum(values, 0.0))).T * scale
+    return Others(rows, np.arange(len(prior)))

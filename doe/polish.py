@@ -29,7 +29,9 @@ ITERATIONS = 200
 SHARES = 0.5 ** np.arange(6)
 
 
-def polish(region: Region, x: Floats, choice: Ints, target: Floats | None, criterion: str) -> tuple[Floats, int]:
+def polish(
+    region: Region, x: Floats, choice: Ints, target: Floats | None, criterion: str, prior: Floats | None = None
+) -> tuple[Floats, int]:
     """A better plan near a given one.
 
     Args:
@@ -38,13 +40,14 @@ def polish(region: Region, x: Floats, choice: Ints, target: Floats | None, crite
         choice: (n,) what does not; it stays.
         target: As for `doe.exact.exact_design`.
         criterion: test_pose, A, D, E or G.
+        prior: (p, p) information that is there already, or None.
 
     Returns:
         (n, d) of a plan that may be measured and is not worse, and the number of iterations.
     """
     with one_thread():
         try:
-            goal = _goal(region, x, choice, target, criterion)
+            goal = _goal(region, x, choice, target, criterion, prior)
         except NotIdentifiable:  # nothing to follow
             return x, 0
         found, steps = goal.run(x)
@@ -58,7 +61,13 @@ def polish(region: Region, x: Floats, choice: Ints, target: Floats | None, crite
 
 
 def descend(
-    region: Region, x: Floats, choice: Ints, target: Floats | None, criterion: str, shared: Ints
+    region: Region,
+    x: Floats,
+    choice: Ints,
+    target: Floats | None,
+    criterion: str,
+    shared: Ints,
+    prior: Floats | None = None,
 ) -> tuple[Floats, int]:
     """Where a search from a plan leads if some of what varies is shared by several experiments.
 
@@ -69,25 +78,32 @@ def descend(
         target: As for `doe.exact.exact_design`.
         criterion: test_pose, A, D, E or G.
         shared: (n, d) variables of one number stay equal; they must have equal bounds and scales.
+        prior: (p, p) information that is there already, or None.
 
     Returns:
         (n, d) of a plan that may be a little outside or worse, and the number of iterations.
     """
     with one_thread():
         try:
-            return _goal(region, x, choice, target, criterion, shared).run(x)
+            return _goal(region, x, choice, target, criterion, prior, shared).run(x)
         except NotIdentifiable:  # nothing to follow
             return x, 0
 
 
 def _goal(
-    region: Region, x: Floats, choice: Ints, target: Floats | None, criterion: str, shared: Ints | None = None
+    region: Region,
+    x: Floats,
+    choice: Ints,
+    target: Floats | None,
+    criterion: str,
+    prior: Floats | None,
+    shared: Ints | None = None,
 ) -> _Goal:
-    """The criterion in coordinates where the information of the given plan is I."""
-    problem = make_problem(region.blocks(x, choice), target, criterion, None, None, None)
+    """The criterion in coordinates where the information of the given plan and the prior is about I."""
+    problem = make_problem(region.blocks(x, choice), target, criterion, None, prior, None)
     numbers = np.arange(x.size) if shared is None else shared.ravel()
     _, first, place = np.unique(numbers, return_index=True, return_inverse=True)
-    return _Goal(region, choice, problem.criterion, problem.space.basis, first, place.ravel())
+    return _Goal(region, choice, problem.criterion, problem.space.basis, problem.prior, first, place.ravel())
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +115,7 @@ class _Goal:
         choice: (n,).
         criterion: In the coordinates of ``basis``.
         basis: (p, rank).
+        prior: (rank, rank) information that is there already, in these coordinates.
         first: (z,) where each variable first stands in a plan, flattened.
         place: (n d,) variable of each entry of a plan.
     """
@@ -107,13 +124,14 @@ class _Goal:
     choice: Ints
     criterion: Criterion
     basis: Floats
+    prior: Floats
     first: Ints
     place: Ints
 
     def value(self, x: Floats) -> float:
         """The criterion of a plan (n, d); infinite where its information is singular."""
         try:
-            return self.criterion.value(_information(self.region.blocks(x, self.choice) @ self.basis))
+            return self.criterion.value(self._information(self.region.blocks(x, self.choice) @ self.basis))
         except np.linalg.LinAlgError:
             return float("inf")
 
@@ -127,7 +145,7 @@ class _Goal:
         aside = np.random.default_rng(0).uniform(-ASIDE, ASIDE, x.shape) * self.region.scale
         at, steps = self._whole(self._own(np.clip(x + aside, self.region.lower, self.region.upper))), 0
         for share, depth in zip((0.0, 0.0) if self.criterion.smooth else SMOOTHING, DEPTHS, strict=True):
-            unit = self.criterion.unit(_information(self.region.blocks(at, self.choice) @ self.basis))
+            unit = self.criterion.unit(self._information(self.region.blocks(at, self.choice) @ self.basis))
             ended = minimize(
                 lambda own, m=share * unit, u=unit, d=depth: self._rated(self._whole(own) * scale, m, u, d),
                 self._own(at / scale),
@@ -160,7 +178,7 @@ class _Goal:
         penalty = np.minimum(depth * excess**2, FORBIDDEN)
         own = rows[:, 0]
         try:
-            information = _information(own)
+            information = self._information(own)
             local = self.criterion.local(information, mu, None)
             height = self.criterion.objective(information, mu)
         except np.linalg.LinAlgError:
@@ -176,9 +194,8 @@ class _Goal:
         total = np.bincount(self.place, weights=slope.ravel()).astype(np.float64)
         return height + float(penalty[:, 0].sum()), total
 
-
-def _information(rows: Floats) -> Floats:
-    """Sum of the information of blocks (n, k, p) -> (p, p)."""
-    flat = rows.reshape(-1, rows.shape[2])
-    product: Floats = flat.T @ flat
-    return product
+    def _information(self, rows: Floats) -> Floats:
+        """Of blocks (n, k, rank) and the prior, (rank, rank)."""
+        flat = rows.reshape(-1, rows.shape[2])
+        total: Floats = flat.T @ flat + self.prior
+        return total

@@ -71,8 +71,11 @@ class Problem:
 
     def bound(self, certificate: Certificate, d: Floats) -> float:
         """Lower bound of the criterion from the sensitivities ``d`` (N,) of all candidates."""
-        fixed = float(np.sum((self.prior @ certificate.factor) * certificate.factor))
-        return certificate.numerator / (largest_sum(d, self.upper, 1.0) + fixed)
+        return certificate.numerator / (largest_sum(d, self.upper, 1.0) + self.fixed(certificate))
+
+    def fixed(self, certificate: Certificate) -> float:
+        """Share of the prior in the sum of all sensitivities."""
+        return float(np.sum((self.prior @ certificate.factor) * certificate.factor))
 
 
 def make_problem(blocks: Any, target: Any, criterion: str, costs: Any, prior: Any, upper: Any) -> Problem:

@@ -10,6 +10,7 @@ import numpy as np
 from doe.ascent import Region
 from doe.candidates import Candidates, load_choices, rounded, sampled_range, stops_of
 from doe.continuous import Columns, Sample, continuous_columns
+from doe.earlier import NOTHING, Earlier
 from doe.feasible import FEASIBLE, REASONS, Screen, screen
 from doe.hung_frames import Hung, placed
 from doe.load_settings import values_of
@@ -64,11 +65,14 @@ def reach_of(pool: Pool, seed: int) -> Reach:
     """
     study = pool.observer.study
     space = load_space(study, load_choices(study))
-    region = region_of(pool.observer, pool.known.kept, space)
+    region = region_of(pool.observer, pool.known.kept, space, pool.earlier)
     grid = Sample(*_points(space, study, pool.candidates.visit_q, pool.candidates.visit_loads), pool.blocks)
     aim = pool.objective
     rng = np.random.default_rng(seed)
-    columns = continuous_columns(region, grid, aim.target(), aim.criterion, rng, tol=_GAP, executor=pool.executor)
+    prior = None if pool.prior is None or not study.plan.poses else pool.prior / study.plan.poses
+    columns = continuous_columns(
+        region, grid, aim.target(), aim.criterion, rng, prior=prior, tol=_GAP, executor=pool.executor
+    )
     return Reach(region, space, columns)
 
 
@@ -77,13 +81,14 @@ def _points(space: LoadSpace, study: Study, q: Floats, visit_loads: Ints) -> tup
     return np.hstack([q, space.shares(study, visit_loads)]), space.choice_of(study, visit_loads)
 
 
-def region_of(observer: Observer, kept: Ints, space: LoadSpace) -> Region:
+def region_of(observer: Observer, kept: Ints, space: LoadSpace, earlier: Earlier = NOTHING) -> Region:
     """Blocks and constraints of a study over all joint values and what loads leave open.
 
     Args:
         observer: What turns poses into blocks.
         kept: (p,) kept columns of its model.
         space: The loads of visits.
+        earlier: Poses that could not be measured are kept clear of.
     """
     study, tests = space.study, screen(space.study)
     lower, upper = sampled_range(study)
@@ -92,7 +97,9 @@ def region_of(observer: Observer, kept: Ints, space: LoadSpace) -> Region:
     shares = np.ones(len(space.shots))
 
     ends = (np.append(lower, 0.0 * shares), np.append(upper, shares), np.append(scale, _SHARE * shares))
-    return Region(partial(_blocks, observer, kept, space), partial(_excess, tests, space), *ends)
+    return Region(
+        partial(_blocks, observer, kept, space), partial(_excess, tests, space, Earlier(refused=earlier.refused)), *ends
+    )
 
 
 def _blocks(observer: Observer, kept: Ints, space: LoadSpace, x: Floats, choice: Ints) -> Floats:
@@ -104,13 +111,12 @@ def _blocks(observer: Observer, kept: Ints, space: LoadSpace, x: Floats, choice:
     return observer.blocks(x[:, :n], visit_loads, loads=loads)[:, :, kept]
 
 
-def _excess(tests: Screen, space: LoadSpace, x: Floats, choice: Ints) -> Floats:
-    """How far points are beyond what is allowed, (m,), see `_overshoot`."""
+def _excess(tests: Screen, space: LoadSpace, earlier: Earlier, x: Floats, choice: Ints) -> Floats:
+    """How far points are beyond what is allowed, (m,), see `_overshoot`; infinite beside poses that were refused."""
     n, visit_loads = space.study.robot.n, space.choices[choice]
-    if not space.open:
-        return _overshoot(tests, x, visit_loads, None)
-    parts = [_overshoot(tests, x[:, :n], visit_loads[:, shots], hung) for shots, hung in space.hung(x[:, n:], choice)]
-    return np.asarray(np.max(parts, axis=0))
+    groups = space.hung(x[:, n:], choice) if space.open else [(slice(None), None)]
+    parts = [_overshoot(tests, x[:, :n], visit_loads[:, shots], hung) for shots, hung in groups]
+    return np.where(earlier.clear(space.study, x[:, :n]), np.max(parts, axis=0), np.inf)
 
 
 def _overshoot(tests: Screen, q: Floats, visit_loads: Ints, hung: Hung | None) -> Floats:

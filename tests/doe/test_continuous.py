@@ -102,12 +102,24 @@ def test_a_variable_of_scale_zero_stays():
 # --- the estimate
 
 
-def test_the_estimate_of_one_joint_is_the_closed_form():
+@pytest.mark.parametrize("prior", [None, 0.3])
+def test_the_estimate_of_one_joint_is_the_closed_form(prior):
     region = single()
     grid = sample(region, np.array([[0.4], [-0.7], [1.0]]))
-    found = continuous_columns(region, grid, np.array([[0.5]]), "test_pose", np.random.default_rng(0))
-    assert found.bound == pytest.approx(0.25, rel=1e-4)
-    assert found.value == pytest.approx(0.25, rel=1e-4)
+    known = None if prior is None else np.array([[prior]])
+    found = continuous_columns(region, grid, np.array([[0.5]]), "test_pose", np.random.default_rng(0), prior=known)
+    assert found.bound == pytest.approx(0.25 / (1.0 + (prior or 0.0)), rel=1e-4)
+    assert found.value == pytest.approx(found.bound, rel=1e-4)
+
+
+def test_the_estimate_beside_a_prior_is_that_of_a_dense_grid():
+    region, drawn, target = continuous_case(6)
+    known = 2.0 * np.einsum("nkp,nkq->pq", drawn(3).blocks, drawn(3).blocks)
+    found = continuous_columns(region, drawn(500), target, "test_pose", np.random.default_rng(0), prior=known, tol=1e-3)
+    dense = approximate_design(drawn(20_000).blocks, target, prior=known)
+    assert found.bound <= dense.bound
+    assert found.bound > 0.9 * dense.bound
+    assert found.gap < 0.01
 
 
 PUBLISHED = {"down": ([0, 0, -1, 0, 0, 0], 1.0586), "forward": ([1, 0, 0, 0, 0, 0], 0.7991)}

@@ -81,6 +81,21 @@ def test_measuring_more_never_worsens(tmp_path, seed):
     assert start > values[0] > values[1] > values[2]
 
 
+def test_all_poses_are_searched_beside_what_was_measured(tmp_path):
+    whole = study(tmp_path, KR270, plan={"candidates": 80, "poses": 2, "criterion": "G", "curve": False})
+    first = taken(whole, 3, 1)
+    free = plan(whole, earlier=Earlier(measured=first))
+    assert 0.9 < free.final.continuous <= 1.0
+    assert free.final.value < free.grid.value
+    again = free.pool.information(free.pool.observer.blocks(free.q, free.visit_loads)[:, :, free.pool.known.kept])
+    assert free.pool.objective.value(again) == pytest.approx(free.final.value, rel=1e-9)
+    clear = Earlier(measured=first, refused=free.q)
+    other = plan(whole, earlier=clear)
+    assert clear.clear(whole, other.q).all()
+    assert not clear.clear(whole, free.q).any()
+    assert other.final.value >= free.final.value * (1 - 2e-3)
+
+
 @pytest.mark.parametrize("model", [{}, ABSOLUTE], ids=["differences", "absolute"])
 @pytest.mark.parametrize("repeats", [True, False])
 def test_the_bound_beside_measured_visits_is_never_above_the_best_of_all_plans(tmp_path, model, repeats):
