@@ -13,7 +13,7 @@ from identify.arrays import Ints
 __all__ = ["BRANCHED", "RELAXED", "close_gap"]
 
 USUAL = 150  # candidates up to which all nodes are solved; of more, so many fewer that the work stays the same
-MOST = 1000  # candidates; beyond that a proof is out of reach
+FEWEST = 150  # nodes; fewer of them raise no bound worth the time
 CLOSED = 1e-6  # relative gap that needs no more work
 RELAXED, BRANCHED = "relaxation", "branch_and_bound"  # where a bound comes from
 
@@ -39,9 +39,9 @@ def close_gap(
     kept = possible(problem, found, plan.value)
     if not len(kept):
         return members, plan.value * (1.0 - CLOSED), BRANCHED
-    if len(kept) > MOST:
-        return members, found.bound, RELAXED
     nodes = min(nodes, nodes * USUAL**2 // len(kept) ** 2)
+    if nodes < FEWEST:
+        return members, found.bound, RELAXED
     pool = make_pool(problem, problem.prior, kept, limits)
     closed, bound = branch_and_bound(pool, problem.costs[kept], plan, found.bound, nodes)
     if closed is not plan:

@@ -268,6 +268,8 @@ class _Search:
         """The free weights with those that lean on a bound put onto it; None if that leaves no regular M."""
         centre, upper = self.centre, self.problem.upper[self.free]
         assert centre is not None
+        if not centre.d.any():  # the free ones show nothing that counts
+            return None
         w = centre.weights
         small = share * np.sqrt(centre.mu / centre.d.max())  # on the path w s = mu, and s and d are of one size
         low, high = w < small, upper - w < small

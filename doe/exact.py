@@ -44,7 +44,7 @@ class Effort:
     restarts: int = 1
 
 
-EFFORTS = {"low": Effort(0, 0, False), "normal": Effort(60, 500, True), "high": Effort(300, 5000, True)}
+EFFORTS = {"low": Effort(0, 0, False), "normal": Effort(60, 300, True), "high": Effort(300, 5000, True)}
 NARROW, BROAD = 250, 2500  # candidates in the pools of the iterated search and of the exchange
 LONG = 30  # experiments; longer plans get fewer rounds of search
 SWEEPS = 5  # over all candidates at the end; one or two are usual

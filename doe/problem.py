@@ -13,7 +13,7 @@ import numpy as np
 from doe.blocks import Blocks
 from doe.criteria import Certificate, Criterion, criterion_for
 from doe.polytope import largest_sum
-from doe.row_space import RowSpace, row_space
+from doe.row_space import RowSpace, prior_rows, row_space
 from identify.arrays import Floats, Ints
 from identify.errors import InputError
 
@@ -98,10 +98,10 @@ def make_problem(blocks: Any, target: Any, criterion: str, costs: Any, prior: An
     information = checked_prior(prior, stream.p)
     # row_space weighs the prior against the average of the unscaled blocks
     space = row_space(stream, information * float(price.mean()))
-    reduced = space.basis.T @ information @ space.basis
+    known = prior_rows(information) @ space.basis  # the square of rows has no negative direction, in spite of rounding
     caps = np.full(len(stream), np.inf) if upper is None else upper * price
     caps = np.where(caps >= 1.0, np.inf, caps)
-    return Problem(stream, space, criterion_for(criterion, space, target), price, caps, reduced)
+    return Problem(stream, space, criterion_for(criterion, space, target), price, caps, known.T @ known)
 
 
 def checked_costs(costs: Any, count: int) -> Floats:

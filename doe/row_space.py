@@ -16,7 +16,7 @@ from doe.blocks import Blocks
 from identify.arrays import Floats
 from identify.errors import NotIdentifiable
 
-__all__ = ["RowSpace", "row_space"]
+__all__ = ["RowSpace", "prior_rows", "row_space"]
 
 CLEAR = 1e-4  # singular values above this fraction of the largest are certain from the first Gram matrix
 FEW = 1000  # candidates that show the sizes of the columns
@@ -79,7 +79,7 @@ def row_space(blocks: Blocks, prior: Floats) -> RowSpace:
     Raises:
         NotIdentifiable: All blocks are zero and there is no prior.
     """
-    shift = _factor(prior) * np.sqrt(len(blocks))
+    shift = prior_rows(prior) * np.sqrt(len(blocks))
     peak, first = _first_gram(blocks, shift)
     norms = np.sqrt(np.diag(first)) * peak
     norms = np.where(norms < NOISE * blocks.eps * norms.max(), 0.0, norms)
@@ -141,7 +141,7 @@ def _gram(blocks: Blocks, shift: Floats, basis: Floats) -> Floats:
     return result
 
 
-def _factor(prior: Floats) -> Floats:
+def prior_rows(prior: Floats) -> Floats:
     """Rows F (p, p) with ``F'F = prior`` for a positive semidefinite prior, accurate for any column scales."""
     scale = np.sqrt(np.diag(prior))
     unit = prior * np.outer(_inverse(scale), _inverse(scale))

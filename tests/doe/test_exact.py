@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from plain_design import brute_force, information, plans, value_of
 from reference_cases import reference_case
 
-from doe import exact_design, local_search
+from doe import approximate_design, exact_design, local_search
 from doe.boxes import Box, relax
 from doe.branch import branch_and_bound
 from doe.local_search import Limits, make_pool
@@ -167,6 +167,28 @@ def test_limits_are_kept():
     assert both.counts.sum() == once.counts.sum() == 9
     assert once.counts.max() == 1
     assert free.value <= both.value * (1 + 1e-9) <= once.value * (1 + 2e-9)
+
+
+@pytest.mark.parametrize("criterion", ["A", "D", "test_pose"])
+def test_a_prior_of_low_rank_that_outweighs_all_candidates(criterion):
+    """In the coordinates of the blocks rounding must not give the prior negative directions."""
+    rng = np.random.default_rng(1)
+    blocks, rows = rng.normal(size=(20, 5, 26)), rng.normal(size=(2, 26))
+    prior = 1e9 * rows.T @ rows
+    design = approximate_design(blocks, rows, criterion=criterion, prior=prior)
+    assert design.gap <= 1e-6
+    plan = exact_design(blocks, rows, 20, criterion=criterion, repeats=False, prior=prior, effort="low")
+    assert plan.value == pytest.approx(plan.bound, rel=1e-6)  # there is no choice
+
+
+def test_candidates_that_show_nothing_of_what_counts_gain_nothing():
+    blocks = np.zeros((8, 2, 3))
+    blocks[4:, :, :2] = np.random.default_rng(2).normal(size=(4, 2, 2))
+    target, prior = np.array([[0.0, 0.0, 1.0]]), np.diag([0.0, 0.0, 4.0])
+    assert approximate_design(blocks, target, prior=prior).value == pytest.approx(0.25)
+    plan = exact_design(blocks, target, None, costs=np.ones(8), budget=3.0, prior=prior)
+    assert plan.value == pytest.approx(0.25)
+    assert plan.efficiency == pytest.approx(1.0)
 
 
 def test_the_prior_counts_in_full():
