@@ -12,7 +12,7 @@ import numpy as np
 
 from identify.arrays import Floats, frozen
 from identify.beams import Tube
-from identify.cell import Box, PayloadDiagram, Station, Visibility, Wall
+from identify.cell import Box, Neighbour, PayloadDiagram, Station, Visibility, Wall
 from identify.loads import LoadCase, Markers
 from identify.robot import Robot
 from identify.units import DEG, MM
@@ -327,6 +327,7 @@ class Study:
         marker_choices: Names of the markers that the plan chooses from; they stand among ``markers``.
         times: How long measuring takes, or None if the study does not say.
         load_costs: Cost of a reading under each load; empty: none costs anything.
+        neighbour: Another arm that is parked while this one is measured; None where there is none, or it is not known.
     """
 
     path: Path
@@ -363,6 +364,7 @@ class Study:
 
     times: Times | None = None
     load_costs: tuple[float, ...] = ()
+    neighbour: Neighbour | None = None
 
     @property
     def joint_units(self) -> np.ndarray:
