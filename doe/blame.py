@@ -17,6 +17,7 @@ REMEDIES = {
     "boxes": "boxes further away, or a smaller clearance_mm",
     "self_collision": "a smaller link_radius_mm, or self_collision = false",
     "load_collision": "a smaller size_mm or another hang_mm of the loads, or a smaller clearance_mm",
+    "arm_collision": "another home_deg in the study of the other arm, or a smaller clearance_mm",
     "payload": "lighter loads or a larger payload_share, or a wider payload_diagram",
     "torque": "lighter loads, or larger wrist_moment_Nm and torque_share",
     "tracker_range": "another tracker station, or a wider range under visibility",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from doe.information import covariance_of, standard_deviations
 from doe.joint_only import joint_only
 from doe.judgement import (
     bound_json,
+    broken_notes,
     confusability_json,
     confusability_lines,
     counts,
@@ -147,7 +147,7 @@ def run_evaluate(
         "confusability": confusability_json(study, experiment),
         "measured": _measured(study, aim, earlier, judged.prior),
         "time_s": time_as_given(study, experiment),
-        "notes": [*told, *_notes(judged.broken)],
+        "notes": [*told, *broken_notes(judged.broken)],
     }
     lines = (
         *judgement_lines(content, judged.visits),
@@ -155,14 +155,6 @@ def run_evaluate(
         *confusability_lines(content["confusability"]),
     )
     return Outcome("evaluate", content, (*study.inputs, plan_file, *before.paths), {}, lines)
-
-
-def _notes(broken: Mapping[str, int]) -> list[str]:
-    """What a user should know about the given visits."""
-    if not broken:
-        return []
-    counts = ", ".join(f"{reason} {count}" for reason, count in broken.items())
-    return [f"given visits that break a constraint of the study: {counts}"]
 
 
 def _regions(stated: Study, reached: Accuracy | None) -> list[dict[str, Any]]:

@@ -25,7 +25,7 @@ from identify.experiment import Experiment
 from identify.identifiability import Identifiability
 from identify.study import Study
 
-__all__ = ["Evaluation", "evaluate"]
+__all__ = ["Evaluation", "broken_visits", "evaluate"]
 
 log = logging.getLogger("elastocal")
 
@@ -109,12 +109,12 @@ def evaluate(
     among = own[:0] if pool is None else pool.blocks
     value, repeats = aim.value(information), study.plan.repeats
     bound = bound_of(aim, len(own), among, own, value, repeats=repeats, prior=prior, nodes=NODES)
-    broken = _broken(study, experiment)
+    broken = broken_visits(study, experiment)
     return Evaluation(watching, experiment, known, aim, information, own, pool, bound, broken, prior)
 
 
-def _broken(study: Study, experiment: Experiment) -> dict[str, int]:
-    """Number of visits by the first constraint that they break."""
+def broken_visits(study: Study, experiment: Experiment) -> dict[str, int]:
+    """Number of visits by the first constraint of the study that they break."""
     codes = screen(study).codes(experiment.q[experiment.shot_pose])
     own = codes[np.arange(len(codes)), experiment.shot_load]
     first = np.full(len(experiment.visits), FEASIBLE)

@@ -8,6 +8,7 @@ A visit is one pose and the loads that are read there. Its reason is the first o
 * *walls*, *boxes*: links that move, flange markers, ropes and hung bodies keep the clearance, see `doe.gaps`.
 * *self_collision*: capsules around the links keep apart, see `doe.capsules`.
 * *load_collision*: ropes and hung bodies keep the clearance to the links, see `doe.weights`.
+* *arm_collision*: both keep the clearance to another arm that is parked beside, see `doe.parked`.
 * *payload*: hung mass and tool within the stated share of the rated payload and within the payload diagram.
 * *torque*: static moments about the last three joints and static joint torques within their limits, `doe.statics`.
 * *tracker_range*, *reflector_angle*, *line_of_sight*: enough markers are in range, turned to the tracker, and seen;
@@ -49,7 +50,7 @@ __all__ = [
 
 #: Why a visit may not be measured, in the order in which the reasons are looked at.
 REASONS = (
-    "joint_limits", "floor", "walls", "boxes", "self_collision", "load_collision", "payload", "torque",
+    "joint_limits", "floor", "walls", "boxes", "self_collision", "load_collision", "arm_collision", "payload", "torque",
     "tracker_range", "reflector_angle", "line_of_sight",
 )  # fmt: skip
 FEASIBLE = len(REASONS)  # the code of a visit without a reason

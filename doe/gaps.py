@@ -15,6 +15,7 @@ from doe.capsules import Capsules, capsules
 from doe.distances import box_gap_axes, point_box_distance, segment_box_distance
 from doe.floor import FloorPoints, floor_points, load_points
 from doe.hung_frames import HungFrames
+from doe.parked import Parked, parked
 from doe.weights import Weights, weights
 from identify.arrays import Floats
 from identify.cell import Box, Wall
@@ -38,6 +39,7 @@ class Gaps:
         walls: Walls.
         boxes: Boxes.
         clearance: Distance kept to walls and boxes, and by weights to the arm, m.
+        parked: Another arm that stands beside, or None.
     """
 
     floor: float | None
@@ -49,11 +51,12 @@ class Gaps:
     walls: tuple[Wall, ...]
     boxes: tuple[Box, ...]
     clearance: float
+    parked: Parked | None = None
 
     @property
     def always(self) -> tuple[str, ...]:
         """Pairs that touch in every pose and are not checked, by name."""
-        return (*self.capsules.always, *self.weights.always)
+        return (*self.capsules.always, *self.weights.always, *(self.parked.always if self.parked else ()))
 
     @property
     def by_reason(self) -> Mapping[str, Callable[[Frames], Floats]]:
@@ -64,6 +67,7 @@ class Gaps:
             "boxes": self.to_boxes,
             "self_collision": self.between_links,
             "load_collision": self.weights_to_links,
+            "arm_collision": self.to_parked,
         }
 
     def to_floor(self, frames: Frames) -> Floats:
@@ -145,20 +149,26 @@ class Gaps:
             return _open(frames)
         return self.weights.link_gaps(frames, self.capsules.segments(frames), self.clearance) - self.clearance
 
+    def to_parked(self, frames: Frames) -> Floats:
+        """(N, L) distance of the arm with each load to another one that is parked."""
+        return _open(frames) if self.parked is None else self.parked.gaps(frames)
+
 
 def gaps_of(study: Study) -> Gaps:
     """The geometry of a study's cell."""
     robot, constraints, arm = study.robot, study.constraints, capsules(study)
+    hung = weights(study, arm)
     return Gaps(
         floor=constraints.floor,
         arm=floor_points(study),
         attached=tuple(load_points(robot, load) for load in study.loads),
         capsules=arm,
-        weights=weights(study, arm),
+        weights=hung,
         markers=study.markers.positions[~study.markers.on_base],
         walls=tuple(wall.seen_from(robot.world_R_base) for wall in constraints.walls),
         boxes=tuple(box.seen_from(robot.world_R_base) for box in constraints.boxes),
         clearance=constraints.clearance,
+        parked=parked(study, arm, hung),
     )
 
 

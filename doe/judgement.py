@@ -76,6 +76,14 @@ def bound_json(bound: Bound) -> dict[str, float]:
     return {"value": bound.value, "bound": bound.bound, "efficiency": bound.efficiency}
 
 
+def broken_notes(broken: Mapping[str, int]) -> list[str]:
+    """What a user should know about given visits that break constraints, counted by reason."""
+    if not broken:
+        return []
+    counts = ", ".join(f"{reason} {count}" for reason, count in broken.items())
+    return [f"given visits that break a constraint of the study: {counts}"]
+
+
 def errors_at_test_poses(reached: Accuracy | None) -> list[dict[str, float]]:
     """Error at each test pose: rms and the radius of 95 %, parameters only and with pose jitter, mm."""
     if reached is None:

@@ -25,6 +25,7 @@ STEP = 0.02
 
 _ROUNDING = 1e-9  # m
 _CHUNK = 4096  # poses at a time
+_BOTH_MOVE = {"load_collision", "arm_collision"}
 
 
 def free_moves(study: Study, q_from: Floats, q_to: Floats, loads: Ints | None = None) -> np.ndarray:
@@ -82,12 +83,12 @@ def _least(study: Study, gaps: Gaps, q: Floats, loads: Ints) -> Floats:
 
 
 def _gap(gaps: Gaps, frames: Frames, loads: Ints) -> Floats:
-    """(N,) least gap; load and link both move, so the gap between them counts half."""
+    """(N,) least gap; between what hangs and what moves too (links, a parked arm on shared joints) it counts half."""
     least = np.full(len(loads), np.inf)
     for reason, function in gaps.by_reason.items():
         own = function(frames)
         gap = own[:, 0] if own.shape[1] == 1 else own[np.arange(len(loads)), loads]
-        least = np.minimum(least, gap / 2.0 if reason == "load_collision" else gap)
+        least = np.minimum(least, gap / 2.0 if reason in _BOTH_MOVE else gap)
     return least
 
 

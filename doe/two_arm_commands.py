@@ -12,9 +12,11 @@ from doe.accuracy import Accuracy
 from doe.bounds import efficiencies
 from doe.curve import Judge, accuracy_curve, fewest_shown, sizes
 from doe.earlier_files import NO_FILES, EarlierFiles
+from doe.evaluate import broken_visits
 from doe.information import standard_deviations
 from doe.judgement import (
     bound_json,
+    broken_notes,
     confusability_json,
     confusability_lines,
     counts,
@@ -39,11 +41,6 @@ from identify.two_arm_config import load_two_arm_study
 from identify.two_arm_study import TwoArmStudy
 
 __all__ = ["run_evaluate_both", "run_plan_for_both"]
-
-_APART = (
-    "collisions between the two arms are not checked, poses are checked for each arm alone: keep the arm that is not "
-    "measured out of the way, unloaded and still"
-)
 
 
 def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_FILES) -> Outcome:
@@ -79,7 +76,7 @@ def run_plan_for_both(study_file: Path, *, seed: int, before: EarlierFiles = NO_
             for arm, own, visits in zip(study.arms, made.schedules, ordered, strict=True)
         },
         "approach_deg": _by_arm(study, [approach_json(arm.study) for arm in study.arms]),
-        "notes": [*made.choice.notes, *_order_notes(study, made, ordered), _APART],
+        "notes": [*made.choice.notes, *_order_notes(study, made, ordered), *_apart(study)],
     }
     tables = {
         _plan_name(arm.name): plan_csv(visits, arm.study) for arm, visits in zip(study.arms, ordered, strict=True)
@@ -105,6 +102,7 @@ def run_evaluate_both(study_file: Path, folder: Path, *, seed: int, before: Earl
     judged = evaluate_both(study, experiments, seed=seed)
     aim = judged.objective
     reached = relative_accuracy(study, aim, judged.covariance)
+    broken = [broken_visits(arm.study, own) for arm, own in zip(study.arms, experiments, strict=True)]
     confused = [confusability_json(arm.study, own) for arm, own in zip(study.arms, experiments, strict=True)]
     content = {
         **judgement(judged.observer, judged.known, aim, judged.bound, reached),
@@ -120,7 +118,11 @@ def run_evaluate_both(study_file: Path, folder: Path, *, seed: int, before: Earl
         "curve": _curve_of_poses(study, judged, seed),
         "confusability": _by_arm(study, confused),
         "time_s": in_turn(time_as_given(arm.study, e) for arm, e in zip(study.arms, experiments, strict=True)),
-        "notes": [_APART],
+        "visits_rejected": _by_arm(study, broken),
+        "notes": [
+            *(f"{arm.name}: {note}" for arm, own in zip(study.arms, broken, strict=True) for note in broken_notes(own)),
+            *_apart(study),
+        ],
     }
     lines = list(_lines(content))
     for arm, found in zip(study.arms, confused, strict=True):
@@ -139,6 +141,24 @@ def _without_earlier(study_file: Path, before: EarlierFiles) -> None:
             f"{study_file}: --measured, --result, --earlier and --unreachable belong to a study of one arm; this one "
             "has [[arms]]. Take the study of the arm that is measured, which stands under [[arms]] study"
         )
+
+
+def _apart(study: TwoArmStudy) -> list[str]:
+    """What was looked at between the arms."""
+    first, second = study.arms
+    told = []
+    for arm, other in ((first, second), (second, first)):
+        if arm.study.neighbour is None:
+            told.append(
+                f"collisions of {arm.name} with {other.name} are not checked: keep {other.name} out of the way, "
+                f"unloaded and still, and state where it stands ([constraints] home_deg of {other.study.path.name})"
+            )
+        else:
+            told.append(
+                f"{arm.name} is checked against {other.name} at the home pose of {other.study.path.name}, unloaded: "
+                "keep it there"
+            )
+    return told
 
 
 def _by_arm(study: TwoArmStudy, values: Any) -> dict[str, Any]:

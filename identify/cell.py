@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identify.arrays import Floats, frozen
+from identify.robot import Robot
 
-__all__ = ["Box", "PayloadDiagram", "Station", "Visibility", "Wall"]
+__all__ = ["Box", "Neighbour", "PayloadDiagram", "Station", "Visibility", "Wall"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,34 @@ class Box:
         """Points (..., 3) in the box's own frame, m."""
         inside: Floats = (points - self.centre) @ self.rotation
         return inside
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbour:
+    """Another arm that stands at its home pose while this one is measured.
+
+    Attributes:
+        name: Its id.
+        robot: It, unloaded.
+        q: (n,) its joint values, rad or m; shared joints are at zero.
+        rotation: (3, 3) axes of its base in the base frame of this arm, as columns.
+        origin: (3,) origin of its base there, m.
+        shared: Number of joints, counted from the base, that both have in common; they turn it along.
+        link_radius: Radius of its capsules, m; None: its robot file's, see `Constraints.link_radius`.
+    """
+
+    name: str
+    robot: Robot
+    q: Floats
+    rotation: Floats
+    origin: Floats
+    shared: int = 0
+    link_radius: float | None = None
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for key in ("q", "rotation", "origin"):
+            object.__setattr__(self, key, frozen(getattr(self, key)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 
 from identify.arrays import Floats, frozen
 from identify.beams import Tube
-from identify.cell import Box, PayloadDiagram, Station, Visibility, Wall
+from identify.cell import Box, Neighbour, PayloadDiagram, Station, Visibility, Wall
 from identify.loads import LoadCase, LoadRange, Markers
 from identify.robot import Robot
 from identify.units import DEG, MM
@@ -332,6 +332,7 @@ class Study:
         times: How long measuring takes, or None if the study does not say.
         load_costs: Cost of a reading under each load; empty: none costs anything.
         load_ranges: What a plan may choose, by name of a load; ``loads`` holds the nominal values, which all else uses.
+        neighbour: Another arm that is parked while this one is measured; None where there is none, or it is not known.
     """
 
     path: Path
@@ -369,6 +370,7 @@ class Study:
     times: Times | None = None
     load_costs: tuple[float, ...] = ()
     load_ranges: Mapping[str, LoadRange] = field(default_factory=lambda: MappingProxyType({}))
+    neighbour: Neighbour | None = None
 
     @property
     def joint_units(self) -> np.ndarray:

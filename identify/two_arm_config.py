@@ -7,6 +7,7 @@ common: the joints they share, the tasks they face and what the plan is asked fo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from identify.study import PlanSettings
 from identify.study_checks import check_plan, check_test_pose
 from identify.study_records import plan_settings, test_pose
 from identify.two_arm_checks import check_arms, check_points
-from identify.two_arm_study import Arm, Task, TwoArmStudy
+from identify.two_arm_study import Arm, Task, TwoArmStudy, beside
 from identify.units import MM
 
 __all__ = ["holds_two_arms", "load_two_arm_study"]
@@ -68,7 +69,7 @@ def load_two_arm_study(path: str | Path) -> TwoArmStudy:
         check_arms(found, problems)
         check_points(found, problems)
         problems.settle()
-        return found
+        return replace(found, arms=beside(arms, waist.shared_joints))
     problems.settle()
     raise InputError(f"{path}: [[arms]] cannot be read")  # whatever is missing is a problem: only for the type checker
 

@@ -6,18 +6,19 @@ from. Arms on a common waist have the same base, and their first joints are one 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from identify.arrays import Floats, frozen
+from identify.cell import Neighbour
 from identify.effects import Effect, SpringSet
 from identify.kinematics import forward
 from identify.model import Model
 from identify.study import PlanSettings, Study, TestPose
 
-__all__ = ["Arm", "Task", "TwoArmStudy", "shared_parameters", "task_points", "unsupported"]
+__all__ = ["Arm", "Task", "TwoArmStudy", "beside", "shared_parameters", "task_points", "unsupported"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,28 @@ class TwoArmStudy:
     tasks: tuple[Task, ...] = ()
     plan: PlanSettings = field(default_factory=PlanSettings)
     inputs: tuple[Path, ...] = ()
+
+
+def beside(arms: tuple[Arm, Arm], shared: int) -> tuple[Arm, Arm]:
+    """Both arms, each with the other one parked at its home pose, where the study of that one states it.
+
+    Args:
+        arms: The arms.
+        shared: Number of joints, counted from the base, that both have in common.
+    """
+    first, second = arms
+    return _with_neighbour(first, second, shared), _with_neighbour(second, first, shared)
+
+
+def _with_neighbour(arm: Arm, other: Arm, shared: int) -> Arm:
+    """An arm with the other one parked."""
+    cell, robot, world = other.study.constraints, other.study.robot, arm.study.robot.world_R_base
+    if cell.home is None:
+        return arm
+    q = np.where(np.arange(robot.n) < shared, 0.0, cell.home)
+    place = world.T @ robot.world_R_base, world.T @ (other.base - arm.base)
+    neighbour = Neighbour(other.name, robot, q, *place, shared, cell.link_radius)
+    return replace(arm, study=replace(arm.study, neighbour=neighbour))
 
 
 def task_points(study: TwoArmStudy) -> Floats:

@@ -334,8 +334,9 @@ def test_two_arms_are_not_continued(tmp_path, capsys, words):
 def test_poses_are_judged_beside_what_was_measured_as_the_plan_was(measured, tmp_path, capsys):
     """The further plan, judged from its file, is worth what it was planned to be worth."""
     words = ["--measured", measured / "read/measurements.csv", "--result", measured / "fit/identify.json"]
-    told, _ = planned(measured, tmp_path / "more", *words)
-    judge = ["evaluate", measured / "study.toml", tmp_path / "more/plan.csv", "--quiet"]
+    file = study_file(measured, KR270, name="grid.toml", plan={"candidates": 100, "poses": 6, "refine": False})
+    told, _ = planned(measured, tmp_path / "more", *words, file=file.name)
+    judge = ["evaluate", file, tmp_path / "more/plan.csv", "--quiet"]
     for out, more in (("beside", words), ("alone", [])):
         assert run([*map(str, [*judge, *more, "--out", tmp_path / out])]) == 0
     found, alone = (json.loads((tmp_path / out / "evaluate.json").read_text()) for out in ("beside", "alone"))

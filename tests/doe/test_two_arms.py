@@ -515,14 +515,14 @@ def test_the_commands_from_plan_to_identified_arms(shipped, capsys):
     assert made["rank"] == 12 == len(made["std"])
     assert "R2.joint_compliance.j2" in made["parameters"]
     assert {"sda5f_both.toml", "sda5f_r1.toml", "sda5f_r2.toml"} <= set(made["provenance"]["inputs"])
-    assert any("collisions between the two arms are not checked" in note for note in made["notes"])
+    assert any("collisions of R1 with R2 are not checked" in note for note in made["notes"])
     assert "experiments by arm:" in capsys.readouterr().out
 
     assert run(["evaluate", two, str(out), "--out", str(shipped / "evaluated"), "--quiet"]) == 0
     again = json.loads((shipped / "evaluated" / "evaluate.json").read_text())
     assert again["criterion"]["value"] == pytest.approx(made["criterion"]["value"], rel=1e-6)
     assert again["arms"] == made["arms"]
-    assert "note: collisions between the two arms are not checked" in capsys.readouterr().out
+    assert "note: collisions of R2 with R1 are not checked" in capsys.readouterr().out
     assert len(again["test_poses"]) == 3
     assert set(again["confusability"]) == {"R1", "R2"}
     assert again["weakest"]["parameter"] in made["parameters"]
