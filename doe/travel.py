@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -46,6 +47,13 @@ class Travel:
     def move(self, hung: Ints, before: Ints, after: Ints) -> tuple[Ints | int, Ints, Ints]:
         """Index of moves into the arrays: ``hung`` is a load, or `doe.lifts.NOTHING`."""
         return (hung if len(self.seconds) > 1 else 0), before, after
+
+    @cached_property
+    def alone(self) -> np.ndarray | None:
+        """(H, V + 1, V + 1) True where a load cannot go along, but the bare arm can go; None if this is nowhere."""
+        possible = np.isfinite(self.length)
+        alone = possible[-1] & ~possible
+        return alone if alone.any() else None
 
     def along(self, visits: Ints, hung: Ints) -> tuple[float, float, int]:
         """Time (s), way (deg) and number of detours of a route.

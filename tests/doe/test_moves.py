@@ -125,3 +125,21 @@ def test_a_weight_that_cannot_go_along_is_taken_off_for_the_way():
     assert ordered(None).carried.tolist() == [NOTHING, 1]
     assert ordered(bare_only).lifts == 3
     assert ordered(bare_only).carried.tolist() == [NOTHING, NOTHING]
+
+
+def test_a_weight_that_all_visits_read_is_hung_again_where_it_cannot_go_along():
+    """Three poses, the last one out of reach with the weight on: it is taken off and hung again once."""
+    q = np.array([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]])
+
+    def bare_to_the_last(first, second, load):
+        return np.full(len(first), load is None) | ((first[:, 0] < 0.5) & (second[:, 0] < 0.5))
+
+    travel = travel_between(q, np.zeros(2, dtype=bool), free=bare_to_the_last, hung=np.array([False, True]))
+    pace = Pace(pose=10.0, reading=10.0, load_change=100.0)
+    visits = Visits([[1], [1], [1]], [True, False], travel, pace, np.zeros((3, 1, 1)))
+    found, fewest = best_order(visits, np.random.default_rng(0))
+    travel.check(found.visit, found.carried, ("P001", "P002", "P003"), "study")
+    assert (fewest.lifts, found.lifts) == (1, 3)
+    assert found.visit[1] != 2
+    assert sorted(found.carried.tolist()) == [NOTHING, NOTHING, 1]
+    assert found.times.max() == 3 * 10.0 + 3 * 100.0
