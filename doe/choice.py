@@ -89,7 +89,7 @@ def all_poses_count(pool: Pool) -> bool:
     """True if a plan is searched among all poses: nothing was measured or refused before, and nothing may be lost."""
     asked = pool.observer.study.plan
     plain = asked.losses == 0 and not pool.draws and not asked.budgeted
-    return plain and pool.prior is None and not len(pool.earlier.refused)
+    return plain and pool.prior is None and not pool.earlier.selective
 
 
 def _moved_beside(pool: Pool, chosen: Ints, start: Visits, most: Floats | None) -> tuple[Visits, Refinement]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,12 +25,14 @@ from doe.refine import Refinement
 from doe.robustness import Robustness, robustness
 from doe.schedule import Schedule, schedule
 from doe.tolerance import sufficient
-from doe.travel import Free
+from doe.travel import Blocked, Free
 from identify.arrays import Floats, Ints
 from identify.errors import Infeasible, NotIdentifiable
 from identify.study import Study
 
 __all__ = ["Plan", "plan", "scheduled_choice"]
+
+log = logging.getLogger("elastocal")
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +106,29 @@ def plan(
 
 
 def _planned(study: Study, *, seed: int, earlier: Earlier, home: Floats | None, free: Free | None) -> Plan:
-    """The plan of a study that leaves nothing open."""
+    """The plan of a study that leaves nothing open; of poses in reach from home alone if others are in no order."""
+    start = study.constraints.home if home is None else home
+    moves = stated_moves(study) if free is None else free
+    made = partial(_searched, study, seed=seed, home=home, free=free)
+    try:
+        return made(earlier=earlier)
+    except Blocked as error:
+        if start is None or moves is None:
+            raise
+        log.info("%s. Searching again, among the poses that can be reached from home", error)
+
+    def reached(q: Floats) -> np.ndarray:
+        return np.asarray(moves(np.broadcast_to(start, q.shape), q, None), dtype=bool)
+
+    return made(earlier=replace(earlier, reached=reached))
+
+
+def _searched(study: Study, *, seed: int, earlier: Earlier, home: Floats | None, free: Free | None) -> Plan:
+    """The plan of a study that leaves nothing open.
+
+    Raises:
+        Blocked: No order of its visits avoids moves that are not free.
+    """
     pool = build_pool(study, seed, earlier)
 
     def scheduled(choice: Choice) -> Schedule | None:

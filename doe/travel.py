@@ -13,11 +13,15 @@ from identify.arrays import Floats, Ints, frozen
 from identify.errors import Infeasible, InputError
 from identify.units import DEG
 
-__all__ = ["Free", "Travel", "travel_between"]
+__all__ = ["Blocked", "Free", "Travel", "travel_between"]
 
 #: ``(q_from (K, n), q_to (K, n), loads (K,) or None) -> (K,)``: True where the straight move of the joints is free, in
 #: both directions, with this load hung on the way; None: with nothing hung.
 Free = Callable[[Floats, Floats, Ints | None], np.ndarray]
+
+
+class Blocked(Infeasible):
+    """Moves between the visits of a plan, which may do with other poses, collide in every order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,13 +79,13 @@ class Travel:
             source: What the message begins with.
 
         Raises:
-            Infeasible: A move is blocked; the message names all of them.
+            Blocked: A move is not possible; the message names all of them.
         """
         move = self.move(hung, np.append(self.seconds.shape[1] - 1, visits[:-1]), visits)
         steps = zip(pairwise(("home", *names)), np.isfinite(self.seconds[move]), strict=True)
         blocked = [f"{first} to {second}" for (first, second), possible in steps if not possible]
         if blocked:
-            raise Infeasible(
+            raise Blocked(
                 f"{source}: no order of the visits avoids moves that collide: {', '.join(blocked)}; state a home pose "
                 "from which all of them can be reached ([constraints] home_deg), or allow other poses"
             )

@@ -15,11 +15,12 @@ from doe.plan import plan
 from doe.travel import travel_between
 from identify.cell import Box
 from identify.config import load_study
-from identify.errors import InputError
+from identify.errors import Infeasible, InputError
 from identify.kinematics import forward
 from identify.loads import LoadCase
 from identify.units import DEG
 from tests.doe.cell_cases import BLOCK, CABINET, UNLOADED, cell, poses
+from tests.doe.study_files import ARM, study
 
 CELL = Path(__file__).parents[2] / "configs" / "studies" / "kr270_cell.toml"
 
@@ -143,3 +144,18 @@ def test_a_weight_that_all_visits_read_is_hung_again_where_it_cannot_go_along():
     assert found.visit[1] != 2
     assert sorted(found.carried.tolist()) == [NOTHING, NOTHING, 1]
     assert found.times.max() == 3 * 10.0 + 3 * 100.0
+
+
+def test_poses_that_no_order_can_hold_are_left_out(tmp_path):
+    """A wall in the way of joint 1: nothing beyond zero is reached, which no constraint on single poses tells."""
+    made = study(tmp_path, ARM, plan={"candidates": 200, "curve": False})
+
+    def this_side(first, second, _):
+        return (first[:, 0] < 0.0) & (second[:, 0] < 0.0)
+
+    found = plan(made, home=np.array([-0.5, 0.0, 0.0]), free=this_side)
+    assert (found.q[:, 0] < 0.0).all()
+    assert found.schedule is not None
+    assert 50 < found.pool.candidates.rejected["unreachable"] < 150
+    with pytest.raises(Infeasible, match="cannot be reached from the home pose"):
+        plan(made, home=np.array([-0.5, 0.0, 0.0]), free=lambda first, *_: np.zeros(len(first), dtype=bool))
