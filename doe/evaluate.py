@@ -16,7 +16,7 @@ from doe.information import covariance_of, information_of
 from doe.objective import Objective, objective
 from doe.observations import Observer, identifiable, keep_columns, observer, stacked_visits
 from doe.pool import Pool
-from doe.regions import with_regions
+from doe.regions import check_test_poses, with_regions
 from identify.arrays import Floats
 from identify.errors import Infeasible, InputError
 from identify.experiment import Experiment
@@ -84,6 +84,7 @@ def evaluate(study: Study, experiment: Experiment, *, seed: int = 0) -> Evaluati
         raise InputError(
             f"{study.path}: station or markers are still to be chosen; judge the study that decide() gives"
         )
+    check_test_poses(study)
     study = with_regions(study)
     watching = observer(study)
     own = stacked_visits(watching, experiment)
