@@ -98,7 +98,7 @@ def all_poses_count(pool: Pool) -> bool:
     """True if a plan is searched among all poses: their number is known beside measured ones, and none may be lost."""
     asked = pool.observer.study.plan
     plain = asked.losses == 0 and not pool.draws and not asked.budgeted
-    return plain and (pool.prior is None or bool(asked.poses))
+    return plain and (pool.prior is None or bool(asked.poses)) and pool.earlier.reached is None
 
 
 def _moved_beside(pool: Pool, chosen: Ints, start: Visits, most: Floats | None) -> tuple[Visits, Refinement]:

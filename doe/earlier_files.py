@@ -113,7 +113,7 @@ def _pose(study: Study, name: str, known: list[Experiment]) -> Floats:
             shot = int(np.flatnonzero(experiment.shot_visit == experiment.visits.index(name))[0])
             joints: Floats = experiment.q[experiment.shot_pose[shot]]
             return joints
-    listed = [visit for experiment in known for visit in experiment.visits]
+    listed = list(dict.fromkeys(visit for experiment in known for visit in experiment.visits))
     if not listed:
         raise InputError(
             f"--unreachable {name}: nothing says where this pose is; name the plan it stands in with --earlier PLAN.csv"

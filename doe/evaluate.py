@@ -18,7 +18,7 @@ from doe.information import covariance_of, information_of
 from doe.objective import Objective, objective
 from doe.observations import Observer, identifiable, keep_columns, observer, stacked_visits
 from doe.pool import Pool, measured_blocks
-from doe.regions import with_regions
+from doe.regions import check_test_poses, with_regions
 from identify.arrays import Floats
 from identify.errors import Infeasible, InputError
 from identify.experiment import Experiment
@@ -93,6 +93,7 @@ def evaluate(
         raise InputError(
             f"{study.path}: station or markers are still to be chosen; judge the study that decide() gives"
         )
+    check_test_poses(study)
     study = with_regions(study)
     watching = observer(study)
     own = stacked_visits(watching, experiment)

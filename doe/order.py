@@ -16,7 +16,7 @@ from doe.travel import Travel
 from identify.arrays import Floats, Ints, frozen
 from identify.units import HOUR
 
-__all__ = ["Order", "Pace", "Visits", "as_found", "measured"]
+__all__ = ["Order", "Pace", "Visits", "as_found", "measured", "passage"]
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,25 @@ class Order:
         object.__setattr__(self, "drift", frozen(self.drift))
 
 
+def passage(travel: Travel, left: Ints, entry: Ints, before: Ints, after: Ints) -> tuple[Ints, Ints]:
+    """What hangs on the way between two readings, and the operations from one to the other.
+
+    A weight that cannot go along is taken off, and hung again where the bare arm arrives.
+
+    Args:
+        travel: Moves between the poses.
+        left: What hangs at the reading before, any shape.
+        entry: What hangs at the next one.
+        before: Pose of the reading before.
+        after: Pose of the next one.
+    """
+    carried, lifts = carried_between(left, entry), lifts_between(left, entry)
+    if travel.alone is None:
+        return carried, lifts
+    alone = travel.alone[travel.move(carried, before, after)]
+    return np.where(alone, NOTHING, carried), np.where(alone, 2, lifts)
+
+
 def as_found(visits: Visits) -> Order:
     """The visits and their readings as they stand."""
     count, readings = visits.loads.shape
@@ -102,11 +121,11 @@ def measured(visits: Visits, visit: Ints, reading: Ints) -> Order:
     """
     pace, loads = visits.pace, np.take_along_axis(visits.loads[visit], reading, axis=1)
     states = hung_states(loads, visits.unloaded)
-    flat = np.append(NOTHING, states.ravel())
-    lifts = lifts_between(flat[:-1], flat[1:]).reshape(loads.shape)
+    before, left = np.append(len(visits.loads), visit[:-1]), np.append(NOTHING, states[:-1, -1])
+    carried, changes = passage(visits.travel, left, states[:, 0], before, visit)
+    lifts = np.column_stack([changes, lifts_between(states[:, :-1], states[:, 1:])])
     step = np.asarray(pace.load_change * lifts + pace.reading, dtype=np.float64)
-    carried = carried_between(np.append(NOTHING, states[:-1, -1]), states[:, 0])
-    seconds = visits.travel.seconds[visits.travel.move(carried, np.append(len(visits.loads), visit[:-1]), visit)]
+    seconds = visits.travel.seconds[visits.travel.move(carried, before, visit)]
     step[:, 0] += pace.pose - pace.reading + np.where(np.isfinite(seconds), seconds, 0.0)
     times = pace.start + np.cumsum(step.ravel()).reshape(step.shape)
     late = (times - times.flat[0]) / HOUR

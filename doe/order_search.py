@@ -42,13 +42,14 @@ def best_order(visits: Visits, rng: np.random.Generator) -> tuple[Order, Fewest]
         The order, and the fewest operations that there can be.
     """
     tables = Tables(visits)
-    most = _limit(visits, tables.fewest.lifts)
-    search = _Search(tables, most, rng)
     starts = [tables.by_pattern()]
     if 1 < len(visits.loads) <= _ROUTED:
         starts.append(tables.by_routing())
+    taken = [int(tables.lifts(visit[None], option[None])[0]) for visit, option in starts]
+    most = _limit(visits, max(tables.fewest.lifts, min(taken)))
+    search = _Search(tables, most, rng)
     found = search.best([start for start in starts if search.allows(*start)])
-    for more in _MORE:  # a weight that cannot go along is taken off for the way
+    for more in _MORE:  # other changes of weights may go where these cannot
         if not tables.blocked(*found):
             break
         found = _Search(tables, most + more, rng).best([found])

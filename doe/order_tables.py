@@ -19,7 +19,7 @@ from doe.lifts import (
     lifts_between,
     orders_of,
 )
-from doe.order import Order, Visits, measured
+from doe.order import Order, Visits, measured, passage
 from doe.routing import short_route
 from identify.arrays import Floats, Ints
 from identify.units import HOUR
@@ -67,18 +67,21 @@ class Tables:
 
     def lifts(self, visit: Ints, option: Ints) -> Ints:
         """(B,) operations of orders (B, V)."""
-        entry, left = self.entry[visit, option], self.exit[visit, option]
-        before = np.concatenate([np.full((len(visit), 1), NOTHING), left[:, :-1]], axis=1)
-        total = (self.within[visit, option] + lifts_between(before, entry)).sum(axis=1)
+        left = self.exit[visit, option]
+        total = (self.within[visit, option] + self._passages(visit, option)[2]).sum(axis=1)
         return np.asarray(total + (self.visits.taken_off & (left[:, -1] != NOTHING)))
 
     def ways(self, visit: Ints, option: Ints) -> tuple[Floats, Floats]:
         """(B, V) time and length of the move to each visit of orders (B, V)."""
-        travel, entry = self.visits.travel, self.entry[visit, option]
+        travel, (before, carried, _) = self.visits.travel, self._passages(visit, option)
+        move = travel.move(carried, before, visit)
+        return travel.seconds[move], travel.length[move]
+
+    def _passages(self, visit: Ints, option: Ints) -> tuple[Ints, Ints, Ints]:
+        """(B, V) of orders (B, V): the pose before each visit, what hangs on the way, and operations on the way."""
         before = np.concatenate([np.full((len(visit), 1), len(self.kind)), visit[:, :-1]], axis=1)
         left = np.concatenate([np.full((len(visit), 1), NOTHING), self.exit[visit, option][:, :-1]], axis=1)
-        move = travel.move(carried_between(left, entry), before, visit)
-        return travel.seconds[move], travel.length[move]
+        return before, *passage(self.visits.travel, left, self.entry[visit, option], before, visit)
 
     def blocked(self, visit: Ints, option: Ints) -> bool:
         """True if a move of an order is not possible."""
@@ -87,8 +90,7 @@ class Tables:
     def drifts(self, visit: Ints, option: Ints, seconds: Floats) -> Floats:
         """(B,) size of the drift of orders (B, V)."""
         pace, (batch, count) = self.visits.pace, visit.shape
-        entry, left = self.entry[visit, option], self.exit[visit, option]
-        changes = lifts_between(left[:, :-1], entry[:, 1:])
+        changes = self._passages(visit, option)[2][:, 1:]
         step = self.length[visit, option][:, :-1] + pace.load_change * changes + pace.pose + seconds[:, 1:]
         late = np.cumsum(np.pad(step, ((0, 0), (1, 0))), axis=1) / HOUR
         rows = np.arange(batch)[:, None]
@@ -133,8 +135,9 @@ class Tables:
         entry = np.append(self.entry[visit, option], NOTHING)
         left = np.append(self.exit[visit, option], NOTHING)
         within = np.append(self.within[visit, option], 0)
-        lifts = lifts_between(left[:, None], entry[None]) + within[None]
-        travel, carried = self.visits.travel, carried_between(left[:, None], entry[None])
+        travel = self.visits.travel
+        carried, changes = passage(travel, left[:, None], entry[None], place[:, None], place[None])
+        lifts = changes + within[None]
         length = travel.length[travel.move(carried, place[:, None], place[None])]
         longest = np.max(length, where=np.isfinite(length), initial=0.0) * (len(self.kind) + 1)
         route = short_route(lifts * max(longest, 1.0) + length, visit)

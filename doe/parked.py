@@ -59,7 +59,7 @@ class Parked:
     def gaps(self, frames: Frames) -> Floats:
         """(N, L) distance of the measured arm with each load to the parked one, less the clearance, m."""
         links = self.link_gaps(frames).min(axis=1, initial=np.inf)
-        hung = self.hung.link_gaps(frames, self.segments(frames))
+        hung = self.hung.link_gaps(frames, self.segments(frames), self.clearance)
         return np.asarray(np.minimum(links[:, None], hung) - self.clearance)
 
     def segments(self, frames: Frames) -> tuple[Floats, Floats]:

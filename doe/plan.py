@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,19 +19,23 @@ from doe.executor import HERE, Executor
 from doe.guard import Guard
 from doe.information import covariance_of
 from doe.load_settings import with_settings, with_used_first
+from doe.moves import free_moves
 from doe.pool import Pool, build_pool
 from doe.purse import prices
 from doe.reach import Reach, reach_of
 from doe.refine import Refinement
+from doe.regions import check_test_poses
 from doe.robustness import Robustness, robustness
 from doe.schedule import Schedule, schedule
 from doe.tolerance import sufficient
-from doe.travel import Free
+from doe.travel import Blocked, Free
 from identify.arrays import Floats, Ints
 from identify.errors import Infeasible, NotIdentifiable
 from identify.study import Study
 
 __all__ = ["Plan", "plan", "scheduled_choice"]
+
+log = logging.getLogger("elastocal")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +110,7 @@ def plan(
         NotIdentifiable: The criterion needs what no candidate shows, or n is too small.
         Infeasible: No candidate keeps to the constraints, or no plan meets the tolerance or fits into the budget.
     """
+    check_test_poses(study)
     study, decision = decide(with_settings(study, seed), seed=seed, executor=executor)
     made = partial(_planned, seed=seed, earlier=earlier, home=home, free=free, executor=executor)
     return replace(_better(study, made) if study.plan.references == "auto" else made(study), decision=decision)
@@ -113,7 +119,32 @@ def plan(
 def _planned(
     study: Study, *, seed: int, earlier: Earlier, home: Floats | None, free: Free | None, executor: Executor
 ) -> Plan:
-    """The plan of a study that leaves nothing open."""
+    """The plan of a study that leaves nothing open; of poses in reach from home alone if others are in no order."""
+    start = study.constraints.home if home is None else home
+    made = partial(_searched, study, seed=seed, home=home, free=free, executor=executor)
+    try:
+        return made(earlier=earlier)
+    except Blocked as error:
+        if start is None:
+            raise
+        log.info("%s. Searching again, among the poses that can be reached from home", error)
+    moves = partial(free_moves, study) if free is None else free
+    return made(earlier=replace(earlier, reached=partial(_in_reach, moves, start)))
+
+
+def _in_reach(moves: Free, start: Floats, q: Floats) -> np.ndarray:
+    """(N,) True for poses (N, n) to which the bare arm can go straight."""
+    return np.asarray(moves(np.broadcast_to(start, q.shape), q, None), dtype=bool)
+
+
+def _searched(
+    study: Study, *, seed: int, earlier: Earlier, home: Floats | None, free: Free | None, executor: Executor
+) -> Plan:
+    """The plan of a study that leaves nothing open.
+
+    Raises:
+        Blocked: No order of its visits avoids moves that are not free.
+    """
     pool = build_pool(study, seed, earlier, executor)
 
     def scheduled(choice: Choice) -> Schedule | None:

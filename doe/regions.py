@@ -13,18 +13,47 @@ from dataclasses import replace
 import numpy as np
 
 from doe.feasible import screen
+from doe.gaps import gaps_of
 from identify.arrays import Floats
-from identify.errors import Infeasible
+from identify.errors import Infeasible, InputError
 from identify.kinematics import forward
 from identify.study import Study, TestPose, TestRegion
 
-__all__ = ["poses_in", "with_regions"]
+__all__ = ["check_test_poses", "poses_in", "with_regions"]
 
 _STANDS = {"walls", "boxes", "self_collision"}  # what forbids a test pose; the floor is that of the measurement
 _DRAWS = 64  # poses drawn for each point before the search gives up
 _SEED = 0
+_TOUCH = 1e-6  # m
 
 log = logging.getLogger("elastocal")
+
+
+def check_test_poses(study: Study) -> None:
+    """Whether the arm alone can stand in the stated test poses; it may come closer there than the clearance.
+
+    Below the floor of the measurement it may stand, which is told.
+
+    Raises:
+        InputError: It is in a box or behind a wall.
+    """
+    if not study.test_poses:
+        return
+    gaps = gaps_of(replace(study, constraints=replace(study.constraints, clearance=0.0)))
+    frames = forward(study.robot, np.array([pose.q for pose in study.test_poses]))
+    for reason in ("walls", "boxes", "floor"):
+        depth = -gaps.by_reason[reason](frames).max(axis=1)  # with the load that is least in the way
+        pose = int(np.argmax(depth))
+        if depth[pose] <= _TOUCH:
+            continue
+        name, broken = f"{study.path}: [[test_poses]] {pose + 1} joints_deg", f"{1e3 * depth[pose]:.4g} mm"
+        if reason == "floor":
+            log.warning("%s: the arm stands %s below [constraints] floor_mm, where nothing is measured", name, broken)
+            continue
+        raise InputError(
+            f"{name}: the arm cannot stand there, {reason} is broken by {broken}; state another test pose or correct "
+            f"[[constraints.{reason}]]"
+        )
 
 
 def with_regions(study: Study) -> Study:

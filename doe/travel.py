@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,11 +12,15 @@ from identify.arrays import Floats, Ints, frozen
 from identify.errors import Infeasible, InputError
 from identify.units import DEG
 
-__all__ = ["Free", "Travel", "travel_between"]
+__all__ = ["Blocked", "Free", "Travel", "travel_between"]
 
 #: ``(q_from (K, n), q_to (K, n), loads (K,) or None) -> (K,)``: True where the straight move of the joints is free, in
 #: both directions, with this load hung on the way; None: with nothing hung.
 Free = Callable[[Floats, Floats, Ints | None], np.ndarray]
+
+
+class Blocked(Infeasible):
+    """Moves between the visits of a plan, which may do with other poses, collide in every order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +50,13 @@ class Travel:
     def move(self, hung: Ints, before: Ints, after: Ints) -> tuple[Ints | int, Ints, Ints]:
         """Index of moves into the arrays: ``hung`` is a load, or `doe.lifts.NOTHING`."""
         return (hung if len(self.seconds) > 1 else 0), before, after
+
+    @cached_property
+    def alone(self) -> np.ndarray | None:
+        """(H, V + 1, V + 1) True where a load cannot go along, but the bare arm can go; None if this is nowhere."""
+        possible = np.isfinite(self.length)
+        alone = possible[-1] & ~possible
+        return alone if alone.any() else None
 
     def along(self, visits: Ints, hung: Ints) -> tuple[float, float, int]:
         """Time (s), way (deg) and number of detours of a route.
@@ -76,12 +88,12 @@ class Travel:
             source: What the message begins with.
 
         Raises:
-            Infeasible: A move is blocked; the message names all of them.
+            Blocked: A move is not possible; the message names all of them.
         """
         stops = ("home", *names)
         blocked = [f"{stops[place]} to {stops[place + 1]}" for place in self.blocked(visits, hung)]
         if blocked:
-            raise Infeasible(
+            raise Blocked(
                 f"{source}: no order of the visits avoids moves that collide: {', '.join(blocked)}; state a home pose "
                 "from which all of them can be reached ([constraints] home_deg), or allow other poses"
             )

@@ -111,7 +111,7 @@ def model_of(study: Study, effects: tuple[str, ...] | None = None, nominal: Mapp
     turns = _turn_parameters(study) if study.markers_fitted and study.six_d else ()
     parameters = (*frame, *markers, *turns, *(parameter for effect in bound for parameter in effect.parameters))
     given = study.nominal if nominal is None else nominal
-    _check_names(given, parameters)
+    _check_names(given, parameters, str(study.path))
     parameters = tuple(replace(p, nominal=float(given.get(p.name, p.nominal))) for p in parameters)
     loaded = study.equilibrium == "loaded"
     known = study.robot.masses_known
@@ -158,12 +158,13 @@ def with_effect(model: Model, effect: Effect) -> Model:
     return replace(model, effects=(*model.effects, effect), parameters=parameters)
 
 
-def _check_names(given: Mapping[str, float], parameters: tuple[Parameter, ...]) -> None:
+def _check_names(given: Mapping[str, float], parameters: tuple[Parameter, ...], path: str) -> None:
     known = [parameter.name for parameter in parameters]
     for name in given:
         if name not in known:
             raise InputError(
-                f"[model.nominal] {name!r}: the model has no such parameter; it has {', '.join(known) or 'none'}"
+                f"{path}: [model.nominal] {name!r}: the model has no such parameter; it has "
+                f"{', '.join(known) or 'none'}"
             )
 
 

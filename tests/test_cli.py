@@ -385,6 +385,10 @@ BAD_STUDIES = {
         changed(loads=[{"id": "L0", "mass_kg": 5.0}, {"id": "L1", "mass_kg": 9.0}]),
         ["reference_rows = true", "reference_rows = false"],
     ),
+    "unknown nominal": (
+        changed(model={"nominal": {"joint_compliance.j9": 1.0}}),
+        ["study.toml: [model.nominal] 'joint_compliance.j9'", "no such parameter"],
+    ),
     "unknown robot": (changed(robot={"model": "kr271"}), ["[robot] model = 'kr271'"]),
     "hostile URDF": (changed(robot={"model": "hostile.urdf"}), ["hostile.urdf", "entit"]),
     "no limits": (

@@ -16,13 +16,13 @@ from doe.plan import plan
 from doe.travel import travel_between
 from identify.cell import Box
 from identify.config import load_study
-from identify.errors import InputError
+from identify.errors import Infeasible, InputError
 from identify.kinematics import forward
 from identify.loads import LoadCase
 from identify.tables import load_plan, plan_experiment
 from identify.units import DEG
 from tests.doe.cell_cases import BLOCK, CABINET, UNLOADED, cell, poses
-from tests.doe.study_files import KR270, study_file
+from tests.doe.study_files import ARM, KR270, study, study_file
 
 CELL = Path(__file__).parents[2] / "configs" / "studies" / "kr270_cell.toml"
 
@@ -174,3 +174,36 @@ def test_a_weight_that_cannot_go_along_is_taken_off_for_the_way():
     assert ordered(None).carried.tolist() == [NOTHING, 1]
     assert ordered(bare_only).lifts == 3
     assert ordered(bare_only).carried.tolist() == [NOTHING, NOTHING]
+
+
+def test_a_weight_that_all_visits_read_is_hung_again_where_it_cannot_go_along():
+    """Three poses, the last one out of reach with the weight on: it is taken off and hung again once."""
+    q = np.array([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]])
+
+    def bare_to_the_last(first, second, load):
+        return np.full(len(first), load is None) | ((first[:, 0] < 0.5) & (second[:, 0] < 0.5))
+
+    travel = travel_between(q, np.zeros(2, dtype=bool), free=bare_to_the_last, hung=np.array([False, True]))
+    pace = Pace(pose=10.0, reading=10.0, load_change=100.0)
+    visits = Visits([[1], [1], [1]], [True, False], travel, pace, np.zeros((3, 1, 1)))
+    found, fewest = best_order(visits, np.random.default_rng(0))
+    travel.check(found.visit, found.carried, ("P001", "P002", "P003"), "study")
+    assert (fewest.lifts, found.lifts) == (1, 3)
+    assert found.visit[1] != 2
+    assert sorted(found.carried.tolist()) == [NOTHING, NOTHING, 1]
+    assert found.times.max() == 3 * 10.0 + 3 * 100.0
+
+
+def test_poses_that_no_order_can_hold_are_left_out(tmp_path):
+    """A wall in the way of joint 1: nothing beyond zero is reached, which no constraint on single poses tells."""
+    made = study(tmp_path, ARM, plan={"candidates": 200, "curve": False})
+
+    def this_side(first, second, _):
+        return (first[:, 0] < 0.0) & (second[:, 0] < 0.0)
+
+    found = plan(made, home=np.array([-0.5, 0.0, 0.0]), free=this_side)
+    assert (found.q[:, 0] < 0.0).all()
+    assert found.schedule is not None
+    assert 50 < found.pool.candidates.rejected["unreachable"] < 150
+    with pytest.raises(Infeasible, match="cannot be reached from the home pose"):
+        plan(made, home=np.array([-0.5, 0.0, 0.0]), free=lambda first, *_: np.zeros(len(first), dtype=bool))

@@ -13,7 +13,7 @@ from doe.information import covariance_of
 from doe.observations import error_rows
 from doe.plan import plan
 from doe.pool import build_pool
-from doe.regions import poses_in, with_regions
+from doe.regions import check_test_poses, poses_in, with_regions
 from identify.config import load_study
 from identify.errors import Infeasible, InputError
 from identify.experiment import full_experiment
@@ -206,3 +206,26 @@ def test_evaluate_tells_the_error_over_a_region(tmp_path):
 def test_a_region_is_enough_to_plan_for(tmp_path):
     pool = build_pool(study(tmp_path, KR270, test_poses=None, test_regions=[BOX], plan={"candidates": 40}), 0)
     assert pool.objective.rows.shape[0] == 64
+
+
+# ---- test poses in the cell
+
+
+def test_a_test_pose_inside_the_cell_is_refused_and_one_below_the_floor_is_told(tmp_path, caplog):
+    inside = {"boxes": [{"name": "post", "centre_mm": [1500.0, 0.0, 1500.0], "size_mm": [400.0, 400.0, 3000.0]}]}
+    behind = {"walls": [{"name": "front", "point_mm": [1000.0, 0.0, 0.0], "normal": [-1.0, 0.0, 0.0]}]}
+    for cell in (inside, behind):
+        made = study(tmp_path, KR270, constraints={"clearance_mm": 20.0, **cell})
+        with pytest.raises(InputError, match=rf"\[\[test_poses\]\] \d joints_deg.* {next(iter(cell))} is broken by"):
+            check_test_poses(made)
+    check_test_poses(study(tmp_path, KR270))
+    assert not caplog.records
+    check_test_poses(study(tmp_path, KR270, constraints={"floor_mm": 1900.0}))
+    assert "below [constraints] floor_mm" in caplog.text
+
+
+def test_a_plan_is_not_made_for_a_test_pose_that_cannot_be(tmp_path):
+    wall = {"walls": [{"name": "front", "point_mm": [1000.0, 0.0, 0.0], "normal": [-1.0, 0.0, 0.0]}]}
+    made = study(tmp_path, KR270, constraints=wall)
+    with pytest.raises(InputError, match="cannot stand there"):
+        plan(made)
