@@ -76,9 +76,10 @@ def search_off_grid(search: OffGrid, chosen: Ints, start: Visits) -> tuple[Visit
         pool = joined_pool(search.pool, search.reach, best.q, best.loads, keep=chosen)
         again, _, _ = guarded_search(pool, search.count, search.seed, search.best)
         exchanged = Visits(pool.candidates.visit_q[again], pool.candidates.visit_loads[again], pool.blocks[again])
-        found, other = _moved(search, again, exchanged)
+        further = replace(search, pool=replace(search.pool, observer=pool.observer))
+        found, other = _moved(further, again, exchanged)
         better = min((exchanged, found), key=search.value)
-        further, better, other = _loads_moved(search, again, better, other)
+        further, better, other = _loads_moved(further, again, better, other)
         if search.value(better) >= search.value(best) * (1.0 - _HARDLY):
             break
         search, best, refinement = further, better, _joined(refinement, other)
