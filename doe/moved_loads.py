@@ -7,6 +7,7 @@ loads need it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from doe.reach import Reach
 from identify.arrays import Floats, Ints
 from identify.study import Study
 
-__all__ = ["MovedLoads", "move_loads"]
+__all__ = ["MovedLoads", "fewer_settings", "most_settings", "move_loads"]
 
 _PARTS = 0.5 ** np.arange(5)  # of the way of the loads that are tried
 _BACK = np.linspace(1.0, 0.0, 17)  # of the way of the joint values
@@ -76,6 +77,54 @@ def move_loads(pool: Pool, reach: Reach, q: Floats, visit_loads: Ints) -> MovedL
             watching = replace(pool.observer, study=further)
             best, least = MovedLoads(replace(pool, observer=watching), back, loads, blocks, steps), value
     return best
+
+
+def fewer_settings(
+    pool: Pool, q: Floats, visit_loads: Ints, value: Callable[[Ints, Floats], float], most: float
+) -> tuple[Ints, Floats] | None:
+    """Let visits take settings that hang elsewhere in a plan already: where that costs little, or there are too many.
+
+    Too many are more than ``settings_per_load`` of one load.
+
+    Args:
+        pool: The candidates; its study holds the loads of the plan.
+        q: (n, joints) joint values, rad or m; they stay.
+        visit_loads: (n, L).
+        value: ``(loads (n, L), blocks (n, k, p)) -> criterion``.
+        most: What the criterion may become where there are not too many.
+
+    Returns:
+        Loads (n, L) of fewer different settings and their blocks (n, k, p); None where each is needed.
+    """
+    study, tests, found = pool.observer.study, screen(pool.observer.study), None
+    used, visits = np.unique(visit_loads, return_counts=True)
+    for old in used[np.argsort(visits, kind="stable")].tolist():
+        trials, others = [], _others(study, visit_loads, old)
+        for new in others:
+            loads = np.where(visit_loads == old, new, visit_loads)
+            twice = (np.diff(np.sort(loads, axis=1), axis=1) == 0).any()
+            if not twice and tests.check(q, loads).ok.all():
+                blocks = pool.observer.blocks(q, loads)[:, :, pool.known.kept]
+                trials.append((value(loads, blocks), loads, blocks))
+        best = min(trials, key=lambda trial: trial[0], default=None)
+        if best is not None and (best[0] <= most or len(others) >= study.plan.settings_per_load):
+            visit_loads, found = best[1], best[1:]
+    return found
+
+
+def most_settings(study: Study, visit_loads: Ints) -> int:
+    """The largest number of different settings of one load among visits (n, L)."""
+    return max((len(_others(study, visit_loads, index)) + 1 for index in np.unique(visit_loads).tolist()), default=0)
+
+
+def _others(study: Study, visit_loads: Ints, old: int) -> list[int]:
+    """Further settings in a plan of the load that ``old`` is a setting of."""
+    ranges, used = study.load_ranges, np.unique(visit_loads).tolist()
+    span = ranges.get(study.loads[old].name)
+    if span is None or old not in used:
+        return []
+    same = {name for name, other in ranges.items() if other.of == span.of}
+    return [index for index in used if index != old and study.loads[index].name in same]
 
 
 def _shared(reach: Reach, x: Floats, visit_loads: Ints) -> Ints:

@@ -12,7 +12,7 @@ from doe.earlier import NOTHING, Earlier
 from doe.feasible import joint_range, screen
 from doe.guard import guarded_search
 from doe.information import information_of, standard_deviations
-from doe.moved_loads import move_loads
+from doe.moved_loads import fewer_settings, most_settings, move_loads
 from doe.objective import Objective
 from doe.observations import Observer
 from doe.polish import polish
@@ -25,7 +25,7 @@ __all__ = ["OffGrid", "Visits", "off_grid", "others_of", "search_off_grid"]
 
 _EXCHANGES = 3  # with the columns off the grid; one or two are usual
 _TURNS = 4  # of loads and joint angles
-_HARDLY = 1e-3  # loss of the criterion that a plan with fewer different poses is worth, and gain that ends the search
+_HARDLY = 1e-3  # loss that a plan with fewer different poses or settings is worth, and gain that ends the search
 _DIFFERENCES = "L-BFGS-B on differences"
 
 
@@ -72,17 +72,36 @@ def search_off_grid(search: OffGrid, chosen: Ints, start: Visits) -> tuple[Visit
     found, refinement = _moved(search, chosen, start)
     best = min((start, found), key=search.value)
     search, best, refinement = _loads_moved(search, chosen, best, refinement)
+    first = best, refinement, search.pool
     for _ in range(_EXCHANGES):
         pool = joined_pool(search.pool, search.reach, best.q, best.loads, keep=chosen)
         again, _, _ = guarded_search(pool, search.count, search.seed, search.best)
         exchanged = Visits(pool.candidates.visit_q[again], pool.candidates.visit_loads[again], pool.blocks[again])
-        found, other = _moved(search, again, exchanged)
+        further = replace(search, pool=replace(search.pool, observer=pool.observer))
+        found, other = _moved(further, again, exchanged)
         better = min((exchanged, found), key=search.value)
-        further, better, other = _loads_moved(search, again, better, other)
+        further, better, other = _loads_moved(further, again, better, other)
         if search.value(better) >= search.value(best) * (1.0 - _HARDLY):
             break
         search, best, refinement = further, better, _joined(refinement, other)
+    if search.reach.space.open:
+        best = _fewer_settings(search, best, search.value(first[0]))
+        settings = most_settings(search.pool.observer.study, best.loads)
+        if settings > search.pool.observer.settings.settings_per_load or search.value(best) > search.value(first[0]):
+            return first
     return best, refinement, search.pool
+
+
+def _fewer_settings(search: OffGrid, plan: Visits, most: float) -> Visits:
+    """The plan with fewer different settings of loads to hang; ``most``: what the criterion may become for that."""
+    found = fewer_settings(
+        search.pool,
+        plan.q,
+        plan.loads,
+        lambda loads, blocks: search.value(Visits(plan.q, loads, blocks)),
+        min(search.value(plan) * (1.0 + _HARDLY), most),
+    )
+    return plan if found is None else Visits(plan.q, *found)
 
 
 def _loads_moved(

@@ -9,11 +9,11 @@ import numpy as np
 
 from doe.ascent import Region
 from doe.candidates import Candidates, load_choices, rounded, sampled_range, stops_of
+from doe.column_settings import nearest_settings, with_column_settings
 from doe.continuous import Columns, Sample, continuous_columns
 from doe.earlier import NOTHING, Earlier
 from doe.feasible import FEASIBLE, REASONS, Screen, screen
 from doe.hung_frames import Hung, placed
-from doe.load_settings import values_of
 from doe.observations import Observer
 from doe.open_loads import LoadSpace, load_space
 from doe.pool import Pool
@@ -138,7 +138,8 @@ def _overshoot(tests: Screen, q: Floats, visit_loads: Ints, hung: Hung | None) -
 def joined_pool(pool: Pool, reach: Reach, q: Floats, visit_loads: Ints, *, keep: Ints) -> Pool:
     """The columns, some candidates and the visits of a plan as one pool for an exchange.
 
-    A column takes that setting of its load which comes nearest, out of those of the plan where it has any.
+    A column takes that setting of its load which comes nearest, out of those of the plan and a few that the best
+    columns ask for; these stand in the study of the new pool.
 
     Args:
         pool: The candidates.
@@ -151,27 +152,13 @@ def joined_pool(pool: Pool, reach: Reach, q: Floats, visit_loads: Ints, *, keep:
     d = columns.sensitivities(pool.blocks)
     best = np.union1d(np.argsort(-d, kind="stable")[:_BESIDE], keep)
     moved = np.concatenate([rounded(study, columns.found.x[:, : study.robot.n]), q])
-    loads = np.concatenate([_nearest(reach, study, np.unique(visit_loads)), visit_loads])
-    moved, loads = _allowed(reach, study, moved, loads)
+    hung = reach.space.choices[columns.found.choice]
+    if reach.space.open:
+        study, asked = with_column_settings(study, reach.space, columns)
+        hung = nearest_settings(study, reach.space, columns, np.union1d(asked, visit_loads))
+        pool = replace(pool, observer=replace(pool.observer, study=study))
+    moved, loads = _allowed(reach, study, moved, np.concatenate([hung, visit_loads]))
     return _together(pool, best, moved, loads)
-
-
-def _nearest(reach: Reach, study: Study, used: Ints) -> Ints:
-    """(m, S) loads of a study that come nearest to those of the columns, the ``used`` ones where there are any."""
-    space, found = reach.space, reach.columns.found
-    if not space.open:
-        return space.choices[found.choice]
-    base, values = space.bases(study), np.array([values_of(load) for load in study.loads])
-    room = np.where(space.upper > space.lower, space.upper - space.lower, 1.0)
-    wanted = space.values(found.x[:, study.robot.n :], found.choice)
-    loads = np.empty(wanted.shape[:2], dtype=np.int64)
-    for kind in range(len(room)):
-        own = np.flatnonzero(base == kind)
-        own = np.intersect1d(own, used) if len(np.intersect1d(own, used)) else own
-        here = space.choices[found.choice] == kind
-        far = np.linalg.norm((wanted[here][:, None] - values[own]) / room[kind], axis=2)
-        loads[here] = own[np.argmin(far, axis=1)]
-    return loads
 
 
 def _allowed(reach: Reach, study: Study, q: Floats, loads: Ints) -> tuple[Floats, Ints]:

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from doe import load_settings, off_grid
+from doe import column_settings, load_settings, off_grid
 from doe.candidates import load_choices, sampled_range
 from doe.commands import run_evaluate, run_plan
 from doe.earlier_files import EarlierFiles
 from doe.feasible import check, screen
 from doe.hung_frames import Hung
 from doe.load_settings import as_hung, setting, shares_of, values_at, values_of, with_setting, with_settings
-from doe.moved_loads import move_loads
+from doe.moved_loads import fewer_settings, most_settings, move_loads
 from doe.open_loads import load_space
 from doe.plan import plan
 from doe.pool import build_pool
@@ -254,6 +254,32 @@ def test_visits_share_moved_loads_which_keep_every_limit(tmp_path, monkeypatch):
     np.testing.assert_array_equal(found.blocks, own)
 
 
+@pytest.mark.parametrize(("most", "left"), [(1.001, 2), (0.0, 3), (np.inf, 1)])
+def test_settings_that_gain_hardly_anything_are_not_hung(tmp_path, most, left):
+    """Of 40, 39.9 and 20 kg one is worth saving; all may be saved only if it costs nothing that counts."""
+    opened = with_settings(study(tmp_path, PLANAR, constraints={"payload_diagram": None}), seed=0)
+    indices = []
+    for mass in (40.0, 39.9, 20.0):
+        opened, index = with_setting(opened, 1, np.array([mass, 0.5 * mass / 40.0, 0.0, 0.0]))
+        indices.append(index)
+    opened = replace(opened, plan=replace(opened.plan, criterion="A"))
+    pool = build_pool(opened, 0)
+    q, loads = np.radians([[10.0, 60], [20, 50], [-30, 80], [40, -70]]), np.array(indices)[[0, 0, 1, 2]][:, None]
+    before = pool.objective.value(pool.information(pool.observer.blocks(q, loads)[:, :, pool.known.kept]))
+
+    def cost(changed, blocks):
+        lighter = (changed == indices[2]).sum() != 1  # as if the light one were needed
+        return pool.objective.value(pool.information(blocks)) * (2.0 if lighter else 1.0)
+
+    found = fewer_settings(pool, q, loads, cost, most * before)
+    kept = loads if found is None else found[0]
+    assert len(np.unique(kept)) == left
+    crowded = replace(opened, plan=replace(opened.plan, settings_per_load=1))
+    pool = replace(pool, observer=replace(pool.observer, study=crowded))
+    assert most_settings(crowded, loads) == 3
+    assert most_settings(crowded, fewer_settings(pool, q, loads, cost, 0.0)[0]) == 1
+
+
 def test_without_a_limit_the_heaviest_weight_furthest_out_is_taken(tmp_path):
     made = plan(study(tmp_path, PLANAR, constraints={"payload_diagram": None}, plan={"candidates": 20}), seed=0)
     (used,) = np.unique(made.visit_loads)
@@ -338,5 +364,7 @@ def test_keys_and_numbers_of_open_loads_are_documented():
     assert f"whole {load_settings.MM_STEP:g} mm and {load_settings.KG_STEP:g} kg" in words
     theory = " ".join((ROOT / "docs" / "theory.md").read_text(encoding="utf-8").split())
     assert f"until less than {100 * off_grid._HARDLY:g} % is gained" in theory
+    assert f"at least {100 * column_settings._APART:g} % of the ranges apart" in theory
+    assert f"costs less than {100 * off_grid._HARDLY:g} %" in words
     for key in ("load", "of", "mass_kg", "attach_mm", "visits"):
         assert f"`{key}`" in words[words.index("`load_settings`") :][:400]
