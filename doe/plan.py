@@ -24,7 +24,6 @@ from doe.pool import Pool, build_pool
 from doe.purse import prices
 from doe.reach import Reach, reach_of
 from doe.refine import Refinement
-from doe.regions import check_test_poses
 from doe.robustness import Robustness, robustness
 from doe.schedule import Schedule, schedule
 from doe.tolerance import sufficient
@@ -110,7 +109,6 @@ def plan(
         NotIdentifiable: The criterion needs what no candidate shows, or n is too small.
         Infeasible: No candidate keeps to the constraints, or no plan meets the tolerance or fits into the budget.
     """
-    check_test_poses(study)
     study, decision = decide(with_settings(study, seed), seed=seed, executor=executor)
     made = partial(_planned, seed=seed, earlier=earlier, home=home, free=free, executor=executor)
     return replace(_better(study, made) if study.plan.references == "auto" else made(study), decision=decision)

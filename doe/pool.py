@@ -15,7 +15,7 @@ from doe.executor import HERE, Executor
 from doe.information import information_of
 from doe.objective import Objective, objective
 from doe.observations import Observer, identifiable, keep_columns, observer, stacked_visits
-from doe.regions import with_regions
+from doe.regions import check_test_poses, with_regions
 from doe.subject import Subject
 from identify.arrays import Floats
 from identify.identifiability import Identifiability
@@ -100,12 +100,14 @@ def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING, executor: Ex
     Frame and markers are the same for measured and new visits, so both tell about them.
 
     Raises:
+        InputError: The arm cannot stand in a test pose.
         NotIdentifiable: The criterion needs what neither candidates nor measured visits show.
         Infeasible: No candidate keeps to the constraints, or none is clear of what could not be measured.
     """
-    study = with_regions(study)
+    stated, study = study, with_regions(study)
     drawn = drawn_values(study, seed) if study.plan.draws else ()
     chosen = without_refused(study, candidates(study, seed=seed, executor=executor), earlier)
+    check_test_poses(stated)  # where nothing can be measured, that is told first
     watching = observer(study, own_visits=study.plan.references == "own_visits")
     blocks = watching.blocks(chosen.visit_q, chosen.visit_loads, executor)
     measured = measured_blocks(watching, earlier)
