@@ -193,12 +193,15 @@ def load_measurements(path: str | Path, study: Study) -> Measurements:
 def _rows(table: CsvTable, study: Study, problems: Problems) -> _Rows:
     """The columns that plans and measurements share; visits are numbered by sorted name."""
     pose = table.ids("pose", problems)
+    known = (
+        "settings that a plan chose stand in its planned.toml; this study has" if study.load_ranges else "the study has"
+    )
     names = sorted(set(pose))
     number = {name: i for i, name in enumerate(names)}
     return _Rows(
         visit=np.fromiter((number[name] for name in pose), np.int64, len(pose)),
         names=tuple(names),
-        load=table.choices("load", [load.name for load in study.loads], problems),
+        load=table.choices("load", [load.name for load in study.loads], problems, known=known),
         q=table.numbers(joint_columns(study), problems),
         wrench=table.numbers(WRENCH, problems) if table.group(WRENCH) else None,
         approach=_approach(table, study, problems),

@@ -230,6 +230,8 @@ def test_the_planned_study_gives_the_same_figures_and_runs(made):
     assert judged["visits_rejected"] == {}
     read = run_simulate(folder / "planned.toml", folder / "plan.csv", None, seed=0).tables["measurements.csv"]
     assert "W.1" in read
+    with pytest.raises(InputError, match=r"settings that a plan chose stand in its planned\.toml"):
+        run_evaluate(folder / "study.toml", folder / "plan.csv", seed=0)
     assert f"hang W.1: {hung['mass_kg']:g} kg" in first.lines[0]
 
 
