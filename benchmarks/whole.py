@@ -26,6 +26,14 @@ def _run(*arguments: str) -> tuple[float, float]:
     return time.perf_counter() - begin, usage.ru_maxrss / 1024
 
 
+def _larger(study: Path, candidates: int, folder: str) -> Path:
+    """The same study with another number of candidates."""
+    path = Path(folder) / f"{study.stem}_{candidates}.toml"
+    text = study.read_text().replace("candidates = 10000", f"candidates = {candidates}")
+    path.write_text(text.replace("../robots/", f"{ROOT}/configs/robots/"))
+    return path
+
+
 def main() -> None:
     resource.getrusage(resource.RUSAGE_CHILDREN)
     seconds = min(_run("--help")[0] for _ in range(5))
@@ -34,11 +42,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         seconds, memory = _run("plan", str(study), "--out", f"{folder}/a")
         line("elastocal plan, KR 270, 10,000 candidates, 15 poses", f"{seconds:.1f} s, {memory:.0f} MB", "under 10 s")
-        large = Path(folder) / "large.toml"
-        text = study.read_text().replace("candidates = 10000", "candidates = 100000")
-        large.write_text(text.replace("../robots/", f"{ROOT}/configs/robots/"))
-        seconds, memory = _run("plan", str(large), "--out", f"{folder}/b")
+        seconds, memory = _run("plan", str(_larger(study, 100_000, folder)), "--out", f"{folder}/b")
         line("elastocal plan, 100,000 candidates", f"{seconds:.1f} s, {memory:.0f} MB", "under 1 GB")
+        cell = study.with_name("kr270_cell.toml")
+        one, two = (_run("plan", str(cell), "--out", f"{folder}/w{n}", "--workers", f"{n}")[0] for n in (1, 2))
+        line("elastocal plan, KR 270 cell: one process, two", f"{one:.0f} s, {two:.0f} s", "said as it is")
+        seconds, memory = _run("plan", str(_larger(cell, 1_000_000, folder)), "--out", f"{folder}/m")
+        line("elastocal plan, KR 270 cell, a million candidates", f"{seconds:.0f} s, {memory:.0f} MB", "4 GB")
         wrong, poses = (study.with_name(f"kr270_diagnose{end}") for end in (".toml", "_poses.csv"))
         truth = ROOT / "configs" / "truths" / "kr270_diagnose.toml"
         _run("simulate", str(wrong), str(poses), "--truth", str(truth), "--out", f"{folder}/c")
