@@ -24,7 +24,8 @@ _SHARES = (1.0, 0.5, 0.25, 0.125)  # of the way of a refinement that is tried fo
 
 _LOADS_STAY = (
     "loads with ranges hang at the settings of the candidates (settings_per_load): their values are moved further only "
-    "in plans with refine = true, and without measured visits, unreachable poses, losses, draws or a budget"
+    "in plans with refine = true and without losses, draws or a budget, and not where a tolerance asks for more visits "
+    "beside measured ones"
 )
 
 log = logging.getLogger("elastocal")

@@ -100,7 +100,7 @@ def test_a_plan_split_over_two_workers_of_a_cluster_is_the_local_one_bit_for_bit
         "doe.design_choices._tried", "doe.candidates._codes", "doe.observations.Observer._piece",
         "doe.continuous._climb", "doe.local_search.iterate",
     }  # fmt: skip
-    for file in ("plan.json", "plan.csv", "chosen.toml"):
+    for file in ("plan.json", "plan.csv", "planned.toml"):
         here, *others = ((tmp_path / name / file).read_bytes() for name in where)
         assert others == [here, here]
     judged = ["evaluate", str(study), str(tmp_path / "here" / "plan.csv"), "--quiet"]

@@ -304,18 +304,25 @@ def measured(folder):
         {"poses": 3, "robust_to_losses": 1},
         {"poses": None, "cost_budget": 7.0, "pose_cost": 2.0},
         {"poses": None, "tolerance_mm": 0.1, "refine": False},
-        {"measured": True},
     ],
     ids=lambda asked: next(reversed(asked)),
 )
 def test_where_loads_are_not_moved_the_plan_says_so(tmp_path, asked):
-    settings = {key: value for key, value in asked.items() if key != "measured"}
-    path = study_file(tmp_path, PLANAR, plan={"candidates": 20, **settings})
-    before = measured(tmp_path) if "measured" in asked else EarlierFiles()
-    made = run_plan(path, seed=0, out=tmp_path, before=before).content
+    path = study_file(tmp_path, PLANAR, plan={"candidates": 20, **asked})
+    made = run_plan(path, seed=0, out=tmp_path).content
     assert any("loads with ranges hang at the settings of the candidates" in note for note in made["notes"])
     assert {one["of"] for one in made["load_settings"]} == {"W"}
     assert sum(one["visits"] for one in made["load_settings"]) == made["poses"] > 0
+
+
+def test_loads_are_moved_beside_measured_visits_too(tmp_path):
+    before = measured(tmp_path)
+    path = study_file(tmp_path, PLANAR, plan={"candidates": 20, "poses": 4})
+    alone = run_plan(path, seed=0, out=tmp_path).content
+    beside = run_plan(path, seed=0, out=tmp_path, before=before).content
+    assert beside["criterion"]["value"] < alone["criterion"]["value"]
+    assert 0.95 < beside["efficiency_continuous"] <= 1.0
+    assert not any("loads with ranges" in note for note in beside["notes"])
 
 
 # --- bad input, and what the page says
