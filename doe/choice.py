@@ -86,7 +86,7 @@ def choose(
             found, refinement = _moved_beside(pool, chosen, start, most)
         else:
             found, refinement, pool = search_off_grid(OffGrid(pool, reach, count, seed, best, most), chosen, start)
-    if refinement is not None and refinement.reason:
+    if refinement is not None and refinement.reason and found is start:
         notes = (*notes, f"not refined: {refinement.reason}")
     if best is not None:
         notes = (*notes, *blind_spot(pool, found.blocks, best))

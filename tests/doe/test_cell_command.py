@@ -225,6 +225,7 @@ def test_the_shipped_cell_has_plenty_of_candidates_and_its_plan_keeps_to_it(tmp_
     assert tuple(told["rejected"]) == REASONS
     assert {option["station"] for option in told["choices"]["tried"]} == {"front", "side"}
     assert told["efficiency"] > 0.9
+    assert (told["refinement"]["gained_percent"] > 0.0) != any("not refined" in note for note in told["notes"])
     study, decision = decide(load_study(path), seed=0)
     assert decision.best.station == told["choices"]["station"]
     found = candidates(study, seed=0)
