@@ -17,12 +17,14 @@ STUDY := configs/studies/kr270.toml
 TARGETS := configs/studies/kr270_targets.csv
 OUT := out/demo
 WRONG := configs/studies/kr270_diagnose.toml
+CELL := configs/studies/kr270_cell.toml
 POSES := configs/studies/kr270_diagnose_poses.csv
 
-.PHONY: help demo test slow exam lint bench clean
+.PHONY: help demo cell test slow exam lint bench clean
 
 help:
 	@echo "make demo   the main job: plan, simulate, identify, predict, compensate, diagnose, report"
+	@echo "make cell   a plan in a real cell: tracker, floor, wall, cabinet, three weights on a crane"
 	@echo "make test   the tests, a quarter of an hour at most"
 	@echo "make slow   the tests that make test leaves out: whole plans and campaigns of many seconds"
 	@echo "make exam   several hundred blind diagnoses; fresh seed, or EXAM='--seed 1 --cases 100'"
@@ -46,6 +48,9 @@ demo: $(STAMP)
 	$(BIN)/elastocal simulate $(WRONG) $(POSES) --truth configs/truths/kr270_diagnose.toml --out $(OUT)/wrong --force
 	$(BIN)/elastocal diagnose $(WRONG) $(OUT)/wrong/measurements.csv --out $(OUT)/diagnose --force
 	$(BIN)/elastocal report $(OUT)/diagnose
+
+cell: $(STAMP)
+	$(BIN)/elastocal plan $(CELL) --out out/cell --force
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -p no:cacheprovider

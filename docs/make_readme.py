@@ -1,6 +1,6 @@
-"""Put what `make demo` prints into the README: `python docs/make_readme.py`.
+"""Put what `make demo` and `make cell` print into the README: `python docs/make_readme.py`.
 
-The commands are those of the target `demo` in the Makefile; they run in a temporary folder with a copy of `configs`.
+The commands are those of these targets in the Makefile; they run in a temporary folder with a copy of `configs`.
 """
 
 from __future__ import annotations
@@ -17,29 +17,30 @@ from pathlib import Path
 
 from doe.cli import run
 
-__all__ = ["ROOT", "demo_commands", "demo_sections", "run_demo", "section_of"]
+__all__ = ["ROOT", "block", "demo_commands", "demo_sections", "run_demo", "section_of"]
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def demo_commands() -> list[str]:
-    """Command lines of the target `demo`, as make prints them."""
+def demo_commands(target: str = "demo") -> list[str]:
+    """Command lines of a target, as make prints them."""
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     values = dict(re.findall(r"^(\w+) :?\??= *(.*)$", makefile, flags=re.MULTILINE))
-    recipe = re.search(r"^demo:.*\n((?:\t.*\n)+)", makefile, flags=re.MULTILINE)
+    recipe = re.search(rf"^{target}:.*\n((?:\t.*\n)+)", makefile, flags=re.MULTILINE)
     if recipe is None:
-        raise SystemExit("the Makefile has no target demo")
+        raise SystemExit(f"the Makefile has no target {target}")
     lines = [line.strip() for line in recipe[1].splitlines()]
     for _ in values:  # a variable may stand for others
         lines = [re.sub(r"\$\((\w+)\)", lambda found: values[found[1]], line) for line in lines]
     return lines
 
 
-def run_demo(folder: Path) -> list[tuple[str, str]]:
-    """Run the demo in a folder.
+def run_demo(folder: Path, target: str = "demo") -> list[tuple[str, str]]:
+    """Run the commands of a target in a folder.
 
     Args:
-        folder: Where to run; gets a copy of `configs` and the results in `out/demo`.
+        folder: Where to run; gets a copy of `configs` and the results in `out`.
+        target: demo or cell.
 
     Returns:
         Each command line with what it printed on stdout.
@@ -47,7 +48,7 @@ def run_demo(folder: Path) -> list[tuple[str, str]]:
     shutil.copytree(ROOT / "configs", folder / "configs")
     printed = []
     with _working_in(folder):
-        for line in demo_commands():
+        for line in demo_commands(target):
             out, err = io.StringIO(), io.StringIO()
             with redirect_stdout(out), redirect_stderr(err):
                 code = run(line.split()[1:])
@@ -75,10 +76,11 @@ def demo_sections(printed: list[tuple[str, str]]) -> dict[str, str]:
     """What stands between the marks of the README, by their name; the second study begins the diagnosis."""
     studies = [line.split()[2] for line, _ in printed]
     first = next(number for number, study in enumerate(studies) if study != studies[0])
-    return {"demo": _block(printed[:first]), "diagnosis": _block(printed[first:])}
+    return {"demo": block(printed[:first]), "diagnosis": block(printed[first:])}
 
 
-def _block(printed: list[tuple[str, str]]) -> str:
+def block(printed: list[tuple[str, str]]) -> str:
+    """Command lines with what they printed, as they stand in the README."""
     blocks = [f"$ {line}\n{text.rstrip()}\n" for line, text in printed]
     return "\n```text\n" + "\n".join(blocks) + "```\n"
 
@@ -94,7 +96,8 @@ def section_of(readme: str, name: str) -> tuple[str, str, str]:
 def main() -> None:
     """Rewrite the sections of the README."""
     with tempfile.TemporaryDirectory() as folder:
-        sections = demo_sections(run_demo(Path(folder)))
+        sections = demo_sections(run_demo(Path(folder) / "demo"))
+        sections["cell"] = block(run_demo(Path(folder) / "cell", "cell"))
     path = ROOT / "README.md"
     old = new = path.read_text(encoding="utf-8")
     for name, section in sections.items():

@@ -96,9 +96,16 @@ class _Processes:
 
     def _sent(self, work: Callable[[T], U], items: Sequence[T]) -> Iterator[U]:
         """The pieces of the processes, which are started with the first ones."""
+        from concurrent.futures.process import BrokenProcessPool
+
         self._pool = self._pool or self._start()
-        results: Iterator[U] = self._pool.map(_alone, repeat(work, len(items)), items)
-        return results
+        try:
+            yield from self._pool.map(_alone, repeat(work, len(items)), items)
+        except BrokenProcessPool as error:
+            raise InputError(
+                "--workers: a process ended before its work was done, most likely for want of memory; give fewer "
+                "workers, or --workers 1"
+            ) from error
 
 
 class _Cluster:
@@ -110,9 +117,16 @@ class _Cluster:
 
     def map(self, work: Callable[[T], U], items: Sequence[T]) -> Iterator[U]:
         """See `Executor.map`."""
-        for future in self._client.map(partial(_alone, work), list(items), pure=False):
-            yield future.result()
-            future.release()
+        from distributed import KilledWorker
+
+        try:
+            for future in self._client.map(partial(_alone, work), list(items), pure=False):
+                yield future.result()
+                future.release()
+        except KilledWorker as error:
+            raise InputError(
+                f"--scheduler: workers were lost before their work was done, most likely for want of memory: {error}"
+            ) from error
 
 
 def _kind(work: Callable[..., Any]) -> str:

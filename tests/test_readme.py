@@ -73,6 +73,15 @@ def test_readme_shows_what_the_demo_prints(demo: tuple[Path, list[tuple[str, str
         assert len(shown.splitlines()) == len(made.splitlines()), again
 
 
+@pytest.mark.slow
+def test_readme_shows_the_plan_of_the_cell(tmp_path: Path) -> None:
+    maker = script("make_readme")
+    _, shown, _ = maker.section_of(README, "cell")
+    made = maker.block(maker.run_demo(tmp_path / "cell", "cell"))
+    assert same_print(shown, made), "renew the README with: .venv/bin/python docs/make_readme.py"
+    assert "proven optimal" in shown
+
+
 def test_python_snippets_of_the_readme_run(
     demo: tuple[Path, list[tuple[str, str]]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -45,6 +45,18 @@ def test_processes_and_a_cluster_give_the_same_bytes_in_the_same_order(address, 
             assert one.tobytes() == two.tobytes() == three.tobytes()
 
 
+def ending(item):
+    os._exit(1)
+
+
+def test_a_process_that_ends_is_told(monkeypatch):
+    monkeypatch.setattr(executor, "_START", -1.0)
+    with executor_of(2) as two:
+        two.seconds[executor._kind(ending)] = 0.0
+        with pytest.raises(InputError, match="give fewer workers"):
+            list(two.map(ending, range(3)))
+
+
 def process(item):
     return os.getpid()
 
@@ -67,7 +79,7 @@ SPLIT = {
         {"id": "far", "position_mm": [9000.0, 1000.0, 1000.0]},
     ],
     "noise": {"reading_mm": None, "tracker": {"radial_um": 5.0, "transverse_um": 10.0, "transverse_um_per_m": 6.0}},
-    "plan": {"candidates": 2000, "restarts": 2, "poses": 4, "curve": False, "stations": ["near", "far"]},
+    "plan": {"candidates": 1200, "restarts": 2, "poses": 3, "curve": False, "stations": ["near", "far"]},
     "constraints": {"floor_mm": 0.0},
 }
 
@@ -88,7 +100,7 @@ def test_a_plan_split_over_two_workers_of_a_cluster_is_the_local_one_bit_for_bit
     monkeypatch.setattr(executor, "_START", 0.0)
     monkeypatch.setattr(executor, "_SEND", 0.0)
     for module, name, size in ((observations, "_CHUNK", 300),
-                               (candidates, "_GROUPED", 1), (continuous, "TOGETHER", 20)):  # fmt: skip
+                               (candidates, "_GROUPED", 1), (continuous, "TOGETHER", 45)):  # fmt: skip
         monkeypatch.setattr(module, name, size)
     sent = counted(monkeypatch)
     study = study_file(tmp_path, ARM, **SPLIT)
@@ -104,10 +116,10 @@ def test_a_plan_split_over_two_workers_of_a_cluster_is_the_local_one_bit_for_bit
         here, *others = ((tmp_path / name / file).read_bytes() for name in where)
         assert others == [here, here]
     judged = ["evaluate", str(study), str(tmp_path / "here" / "plan.csv"), "--quiet"]
-    for name, words in where.items():
-        assert run([*judged, "--out", str(tmp_path / f"judged_{name}"), *words]) == 0
-    here, *others = ((tmp_path / f"judged_{name}" / "evaluate.json").read_bytes() for name in where)
-    assert others == [here, here]
+    for name in ("here", "cluster"):
+        assert run([*judged, "--out", str(tmp_path / f"judged_{name}"), *where[name]]) == 0
+    here, far = ((tmp_path / f"judged_{name}" / "evaluate.json").read_bytes() for name in ("here", "cluster"))
+    assert far == here
 
 
 def test_where_nobody_answers_nothing_is_written(tmp_path, capsys):
