@@ -171,9 +171,14 @@ def stiffness(q):
 
 
 def variant(*effects):
-    return replace(study, effects=effects, options={
-        "link_compliance": {"template": "beam"}, "gravity_compensator": {"levels_deg": LEVELS},
-    })
+    return replace(
+        study,
+        effects=effects,
+        options={
+            "link_compliance": {"template": "beam"},
+            "gravity_compensator": {"levels_deg": LEVELS},
+        },
+    )
 
 
 def kept_only(base, reduction):
@@ -272,12 +277,20 @@ for name in models:
 
 # %%
 shown = {name: load_changes(experiment, fits[name][0].residuals)[0] / MM for name in ("J2", "C2")}
-lengths = {"rigid robot": fits["C2"][0].deflection[0].error / MM, "joints only (J2)": shown["J2"],
-           "complete (C2)": shown["C2"]}
+lengths = {
+    "rigid robot": fits["C2"][0].deflection[0].error / MM,
+    "joints only (J2)": shown["J2"],
+    "complete (C2)": shown["C2"],
+}
 figure = view.canvas(2)
 _, loaded = load_changes(experiment, fits["C2"][0].residuals)
-view.error_by_pose({name: np.linalg.norm(rows, axis=1) for name, rows in lengths.items()},
-                   experiment.row_visit[loaded], experiment.visits, what="unexplained shift", axes=figure.axes[0])
+view.error_by_pose(
+    {name: np.linalg.norm(rows, axis=1) for name, rows in lengths.items()},
+    experiment.row_visit[loaded],
+    experiment.visits,
+    what="unexplained shift",
+    axes=figure.axes[0],
+)
 figure.axes[0].legend(frameon=False, fontsize=8, loc="lower left", ncols=3, columnspacing=1.0, handletextpad=0.2)
 figure.axes[0].set_ylim(bottom=0.06)
 axes = figure.axes[1]
@@ -314,10 +327,13 @@ for name in models:
 # %%
 tables = models["C2"].options["link_compliance"]
 foot = {f"link0.{key}": prior.links[0][int(key[1]) - 1, int(key[2]) - 1] / URAD for key in ("k35", "k44", "k55")}
-held = replace(models["C2"], options={
-    **models["C2"].options,
-    "link_compliance": {**tables, "link0": {"template": []}, "constants": {**tables.get("constants", {}), **foot}},
-})
+held = replace(
+    models["C2"],
+    options={
+        **models["C2"].options,
+        "link_compliance": {**tables, "link0": {"template": []}, "constants": {**tables.get("constants", {}), **foot}},
+    },
+)
 each = [joint_levels(identify(held, measure(experiment, draw), seed=SEED)) for draw in range(DRAWS)]
 mean = np.mean([found.compliance for found in each], axis=0)
 averaged = each[0]._replace(compliance=mean, covariance=np.mean([found.covariance for found in each], axis=0) / DRAWS)

@@ -49,7 +49,9 @@ from identify.units import DEG, MM
 
 root = next(folder for folder in [Path.cwd(), *Path.cwd().parents] if (folder / STUDIES["a"]).is_file())
 study, other = (load_study(root / path) for path in STUDIES.values())
-whole, later = (load_measurements(root / DATA / f"series_{key}.csv", load_study(root / STUDIES[key])) for key in STUDIES)
+whole, later = (
+    load_measurements(root / DATA / f"series_{key}.csv", load_study(root / STUDIES[key])) for key in STUDIES
+)
 data = take_rows(whole, rows_of_visits(whole.experiment, np.arange(len(whole.experiment.visits)) % EVERY == 0))
 print(f"{len(data.positions)} of {len(whole.positions)} readings of series A, {len(later.positions)} of series D")
 

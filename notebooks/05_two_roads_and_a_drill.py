@@ -92,6 +92,7 @@ print("along the screw between two poses, m:\n", np.round(placements.translation
 # axis, so joint 8 sees no moment. No hung load turns the waist. Both get no number, and the result says why. The paper
 # prints 9.95e6 and 9.5e6 Nm/rad for joint 8.
 
+
 # %%
 def measured(arm, listed, out):
     """Readings of a simulated arm at listed poses."""

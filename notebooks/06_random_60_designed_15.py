@@ -68,7 +68,9 @@ def asked(file):
 made = plan(asked(STUDY), seed=SEED)
 pool, study = made.pool, made.pool.observer.study
 rejected = {reason: count for reason, count in pool.candidates.rejected.items() if count}
-print(f"the tracker stands at {study.stations[0].name}; {len(pool.blocks)} of {pool.candidates.drawn} visits are allowed")
+print(
+    f"the tracker stands at {study.stations[0].name}; {len(pool.blocks)} of {pool.candidates.drawn} visits are allowed"
+)
 print("refused:", ", ".join(f"{reason} {count}" for reason, count in rejected.items()))
 
 # %% [markdown]
@@ -117,7 +119,9 @@ share = np.median(random[COUNTS.index(RANDOM)]) / of_designed
 meets = equal_number(counts, np.median(random, axis=1), of_designed)
 meets_heavy = equal_number(counts, np.median(heavy, axis=1), of_designed)
 print(f"variance at the test poses, {RANDOM} random / {DESIGNED} designed: {share:.2f}")
-print(f"{DESIGNED} designed visits are worth {meets:.0f} random ones, or {meets_heavy:.0f} with the heaviest weight only")
+print(
+    f"{DESIGNED} designed visits are worth {meets:.0f} random ones, or {meets_heavy:.0f} with the heaviest weight only"
+)
 
 # %% [markdown]
 # Fifteen designed visits tell about as much as sixty random ones. A part of that is the weight: the designed plan hangs
@@ -200,8 +204,7 @@ pick = picks[0]
 blocks = pool.blocks[pick]
 q, loads = pool.candidates.visit_q[pick], pool.candidates.visit_loads[pick]
 anyhow = scheduled_choice(
-    pool,
-    Choice(q, loads, blocks, blocks, None, Guard(), ()),
+    Choice(pool, q, loads, blocks, blocks, None, Guard(), ()),
     SEED,
     free=lambda first, second, hung: np.ones(len(first), dtype=bool),
 )
@@ -214,7 +217,9 @@ for name, (time, lifts) in hours.items():
     print(f"{name:<22}{time:5.1f} h {lifts:5d} crane operations")
 hung = loads[:-1, -1]
 apart = ~free_moves(study, q[:-1], q[1:]), ~free_moves(study, q[:-1], q[1:], hung)
-print(f"of {RANDOM - 1} moves as drawn, {apart[0].sum()} collide with nothing hung, {apart[1].sum()} with the weight hung")
+print(
+    f"of {RANDOM - 1} moves as drawn, {apart[0].sum()} collide with nothing hung, {apart[1].sum()} with the weight hung"
+)
 
 # %% [markdown]
 # ## 4. Is that always so?

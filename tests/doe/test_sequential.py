@@ -191,7 +191,7 @@ def test_the_candidates_that_are_left_keep_their_loads_and_are_counted(tmp_path)
     np.testing.assert_array_equal(left.visit_q, drawn.visit_q[~gone])
     np.testing.assert_array_equal(left.visit_loads, drawn.visit_loads[~gone])
     assert left.rejected["unreachable"] == gone.sum()
-    with pytest.raises(Infeasible, match="could not be measured; ask for more"):
+    with pytest.raises(Infeasible, match="could not be measured, or cannot be reached"):
         without_refused(whole, drawn, Earlier(refused=drawn.q))
 
 

@@ -71,7 +71,10 @@ def seven_joints() -> Robot:
     """The arm of an SDA5F without the waist."""
     robot = load_robot("sda5f_r1")
     first = robot.placements[0] @ robot.placements[1]
-    cut = {key: getattr(robot, key)[1:] for key in ("joints", "prismatic", "lower", "upper", "masses", "centres")}
+    cut = {
+        key: getattr(robot, key)[1:]
+        for key in ("joints", "prismatic", "continuous", "lower", "upper", "masses", "centres")
+    }
     return replace(
         robot, placements=np.array([first, *robot.placements[2:]]), efforts=robot.efforts[1:],
         link_rotations=robot.link_rotations[1:], **cut,
