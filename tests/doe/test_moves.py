@@ -207,3 +207,46 @@ def test_poses_that_no_order_can_hold_are_left_out(tmp_path):
     assert 50 < found.pool.candidates.rejected["unreachable"] < 150
     with pytest.raises(Infeasible, match="cannot be reached from the home pose"):
         plan(made, home=np.array([-0.5, 0.0, 0.0]), free=lambda first, *_: np.zeros(len(first), dtype=bool))
+
+
+def test_the_same_pose_is_tested_once_and_long_moves_between_many_poses_go_over_home(monkeypatch):
+    asked = []
+
+    def free(start, end, loads):
+        asked.append((start, end, loads))
+        return np.ones(len(start), dtype=bool)
+
+    home, few = np.zeros(2), np.array([[0.3, 0.0], [0.1, 0.2], [0.3, 0.0], [0.3, 0.0]])
+    hung, turning = np.array([False, True]), np.zeros(2, dtype=bool)
+    travel = travel_between(few, turning, home=home, free=free, hung=hung)
+    assert [len(start) for start, _, _ in asked] == [3, 3]  # two poses and home: with nothing, with the weight
+    assert travel.length[0, 0, 2] == 0.0
+    assert not travel.detour.any()
+
+    monkeypatch.setattr("doe.travel._TESTED", 100)
+    many = np.random.default_rng(3).uniform(-1.0, 1.0, (60, 2))
+    asked.clear()
+    travel = travel_between(many, turning, home=home, free=free, hung=hung)
+    assert all(100 <= len(start) <= 100 + 61 for start, _, _ in asked)
+    size = np.abs(many[:, None] - many).max(axis=2)
+    over = np.abs(many).max(axis=1)
+    far = size > np.sort(size[np.triu_indices(60, 1)])[101]
+    np.testing.assert_allclose(travel.length[0, :-1, :-1][far], (over[:, None] + over)[far])
+    np.testing.assert_allclose(travel.length[0, :-1, :-1][size < 0.05], size[size < 0.05])
+    asked.clear()
+    travel_between(many, turning, free=free)  # without a home there is nothing to go over: all are tested
+    assert [len(start) for start, _, _ in asked] == [60 * 59 // 2]
+
+
+def test_a_weight_is_not_tried_on_a_move_that_the_bare_arm_cannot_make():
+    loaded = []
+
+    def free(start, end, loads):
+        if loads is not None:
+            loaded.append(len(start))
+        return np.abs(end - start).max(axis=1) < 1.0
+
+    q = np.array([[0.0], [0.9], [1.8]])
+    travel = travel_between(q, np.zeros(1, dtype=bool), free=free, hung=np.array([True]))
+    assert loaded == [2]
+    assert not np.isfinite(travel.length[:, 0, 2]).any()
