@@ -23,7 +23,15 @@ _TESTED = 2500  # moves between poses; of more, the long ones go over home untes
 
 
 class Blocked(Infeasible):
-    """Moves between the visits of a plan, which may do with other poses, collide in every order."""
+    """Moves between the visits of a plan, which may do with other poses, collide in every order.
+
+    Attributes:
+        count: Experiments of that plan.
+        value: The criterion that it would have reached; None where it is not known.
+    """
+
+    count: int = 0
+    value: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,4 +197,5 @@ def _allowed(stops: Floats, load: int | None, free: Free, among: np.ndarray) -> 
     allowed = np.eye(len(distinct), dtype=bool)
     hung = None if load is None else np.full(len(first), load)
     allowed[first, second] = np.asarray(free(distinct[first], distinct[second], hung), dtype=bool)
-    return (allowed | allowed.T)[np.ix_(place, place)]
+    both: np.ndarray = (allowed | allowed.T)[place][:, place]
+    return both
