@@ -136,7 +136,7 @@ def packed(rows: Floats) -> Floats:
     return rows.reshape(len(rows), p, p)[:, upper[0], upper[1]] * weight
 
 
-def eliminated(rows: Floats, root: Floats, factor: Floats) -> tuple[list[Floats], list[Floats]]:
+def eliminated(rows: Floats, root: Floats, factor: Floats) -> tuple[Floats, Floats]:
     """Gauss elimination of ``I + A_j P A_j'`` for n candidates at once, P = root root'.
 
     Args:
@@ -145,22 +145,20 @@ def eliminated(rows: Floats, root: Floats, factor: Floats) -> tuple[list[Floats]
         factor: (p, q).
 
     Returns:
-        The k pivots (n,) and the k rows (n, q) of ``A_j factor`` after the same elimination.
+        The pivots (k, n), and ``A_j factor`` after the same elimination, (q, k, n).
     """
     k, count, p = rows.shape
     flat = rows.reshape(-1, p)
-    scaled = (flat @ root).reshape(k, count, p)
-    turned = list((flat @ factor).reshape(k, count, -1))
-    square = [[np.einsum("np,np->n", scaled[a], scaled[b]) for b in range(a + 1)] for a in range(k)]
-    pivots = []
+    scaled = (flat @ root).reshape(k, count, p).swapaxes(0, 1)
+    square = np.matmul(scaled, scaled.swapaxes(1, 2)).reshape(count, k * k)
+    square = np.ascontiguousarray(square.T).reshape(k, k, count)  # candidates last: long runs for the loop below
+    turned = (factor.T @ flat.T).reshape(-1, k, count)
+    pivots = np.empty((k, count))
     for a in range(k):
-        pivot = 1.0 + square[a][a]
-        pivots.append(pivot)
-        for b in range(a + 1, k):
-            ratio = square[b][a] / pivot
-            turned[b] = turned[b] - ratio[:, None] * turned[a]
-            for c in range(a + 1, b + 1):
-                square[b][c] = square[b][c] - ratio * square[c][a]
+        pivots[a] = 1.0 + square[a, a]
+        ratio = square[a + 1 :, a] / pivots[a]
+        turned[:, a + 1 :] -= ratio * turned[:, a, None]
+        square[a + 1 :, a + 1 :] -= ratio[:, None] * square[a, a + 1 :]
     return pivots, turned
 
 

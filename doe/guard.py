@@ -22,6 +22,7 @@ __all__ = ["Guard", "blind_spot", "guarded_search", "search"]
 
 _GUARD_ROUNDS = 12
 _NUMBERS = 4  # numbers of experiments that a budget is tried with, beside what the search finds itself
+_THOROUGH = 2  # of them are searched in full
 _USUAL_PERCENT = 300.0  # the default of max_std_percent; beyond it a plan says what it does not see
 
 
@@ -98,7 +99,7 @@ def _found(
     """
     asked = pool.observer
 
-    def design(number: int | None) -> ExactDesign:
+    def design(number: int | None, effort: str = effort) -> ExactDesign:
         return exact_design(
             pool.blocks,
             target,
@@ -128,26 +129,32 @@ def _found(
     return np.repeat(np.arange(len(found.counts)), found.counts)
 
 
-def _best_buy(design: Callable[[int | None], ExactDesign], purse: Purse, candidates: int) -> ExactDesign:
+def _best_buy(design: Callable[..., ExactDesign], purse: Purse, candidates: int) -> ExactDesign:
     """The best of what a purse pays for: any number of experiments, and some numbers between dear and cheap ones.
 
-    Exchanging one experiment for one does not get from many cheap ones to fewer dear ones.
+    Exchanging one experiment for one does not get from many cheap ones to fewer dear ones. Which number is good shows
+    in a quick search; only the most promising ones are searched in full.
 
     Raises:
         NotIdentifiable: No number shows what the criterion needs.
     """
     least, most = (min(int(purse.budget / cost), candidates) for cost in (purse.costs.max(), purse.costs.min()))
     spread = np.linspace(least, most, _NUMBERS if most > least else 0)
-    found: list[ExactDesign] = []
+    numbers = sorted({int(n) for n in spread if n >= 1})
+    if not numbers:
+        return design(None)
+    found: list[tuple[ExactDesign, int | None]] = []
     missed: NotIdentifiable | None = None
-    for number in (None, *sorted({int(n) for n in spread if n >= 1})):
+    for number in (None, *numbers):
         try:
-            found.append(design(number))
+            found.append((design(number, "low"), number))
         except NotIdentifiable as error:
             missed = missed or error
     if missed is not None and not found:
         raise missed
-    return min(found, key=lambda each: each.value)
+    found.sort(key=lambda each: each[0].value)
+    thorough = [design(number) for _, number in found[:_THOROUGH]]
+    return min([*thorough, found[0][0]], key=lambda each: each.value)
 
 
 def guarded_search(

@@ -102,19 +102,26 @@ def make_pool(problem: Problem, base: Floats, index: Ints, limits: Limits) -> Po
     return Pool(problem.criterion, base, index, rows, limits.costs[index], limits)
 
 
-def fill(pool: Pool, plan: Plan, per_cost: bool = False, banned: tuple[int, ...] = ()) -> Plan:
+def fill(pool: Pool, plan: Plan, per_cost: bool = False) -> Plan:
     """Add the best candidate again and again until nothing more may be added."""
-    while True:
-        allowed = _allowed(pool, plan.members)
-        allowed[list(banned)] = False
-        if not allowed.any():
-            return plan
-        open_ = np.flatnonzero(allowed)
-        rows = pool.rows if len(open_) == len(allowed) else pool.rows[:, open_]
-        values = pool.criterion.after_adding(plan.information, rows)
-        score = np.log(np.maximum(values, 1e-300) / plan.value) / pool.costs[open_] if per_cost else values
-        best = int(open_[int(np.argmin(score))])
-        plan = pool.plan([*plan.members, best])
+    while (best := _additions(pool, plan)) is not None:
+        plan = pool.plan([*plan.members, best[1] if per_cost else best[0]])
+    return plan
+
+
+def _additions(pool: Pool, plan: Plan) -> tuple[int, int] | None:
+    """The candidate that gains most, and the one that gains most for its cost; None where nothing may be added."""
+    allowed = _allowed(pool, plan.members)
+    if not allowed.any():
+        return None
+    open_ = np.flatnonzero(allowed)
+    rows = pool.rows if len(open_) == len(allowed) else pool.rows[:, open_]
+    values = pool.criterion.after_adding(plan.information, rows)
+    best = int(np.argmin(values))
+    if not np.isfinite(pool.limits.budget):
+        return int(open_[best]), int(open_[best])
+    score = np.log(np.maximum(values, 1e-300) / plan.value) / pool.costs[open_]
+    return int(open_[best]), int(open_[np.argmin(score)])
 
 
 def exchange(pool: Pool, plan: Plan) -> Plan:
@@ -200,9 +207,13 @@ def _order(pool: Pool, plan: Plan) -> list[int]:
 def _replaced(pool: Pool, plan: Plan, out: int) -> Plan:
     """The best plan after taking out one experiment and filling up again."""
     rest = _without(pool, plan, out)
-    best = fill(pool, rest)
-    if np.isfinite(pool.limits.budget):
-        other = fill(pool, rest, per_cost=True)
+    first = _additions(pool, rest)  # both ways begin with the same scores, and often with the same candidate
+    if first is None:
+        return rest
+    best = fill(pool, pool.plan([*rest.members, first[0]]))
+    more = len(best.members) > len(rest.members) + 1 and np.ptp(pool.costs) > 0.0
+    if first[1] != first[0] or (np.isfinite(pool.limits.budget) and more):
+        other = fill(pool, pool.plan([*rest.members, first[1]]), per_cost=True)
         best = other if other.value < best.value else best
     return best
 

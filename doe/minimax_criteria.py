@@ -75,7 +75,7 @@ class Worst(Criterion):
         """See `Criterion.after_adding`: as for `Mean`, for each test pose."""
         solved = self._solved(information)
         pivots, turned = eliminated(rows, inverse_root(information), solved)
-        gain = sum((self._grouped(row * row) / pivot[:, None] for pivot, row in zip(pivots, turned, strict=True)))
+        gain = self._grouped(np.einsum("qkn,kn->nq", turned * turned, 1.0 / pivots))
         return np.asarray((self._values(solved) - gain).max(axis=1))
 
     def prospect(self, information: Floats, goal: float) -> tuple[Floats, float]:

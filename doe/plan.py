@@ -24,7 +24,7 @@ from doe.pool import Pool, build_pool
 from doe.purse import prices
 from doe.reach import Reach, reach_of
 from doe.refine import Refinement
-from doe.robustness import Robustness, robustness
+from doe.robustness import Robustness, robustness, value_that_counts
 from doe.schedule import Schedule, schedule
 from doe.tolerance import sufficient
 from doe.travel import Blocked, Free
@@ -126,8 +126,23 @@ def _planned(
         if start is None:
             raise
         log.info("%s. Searching again, among the poses that can be reached from home", error)
+        first = error
     moves = partial(free_moves, study) if free is None else free
-    return made(earlier=replace(earlier, reached=partial(_in_reach, moves, start)))
+    again = made(earlier=replace(earlier, reached=partial(_in_reach, moves, start)))
+    return replace(again, notes=(*again.notes, _cost_of_reach(again, first)))
+
+
+def _cost_of_reach(again: Plan, first: Blocked) -> str:
+    """What it costs that all poses of a plan can be reached from home, in words."""
+    told = (
+        "the visits of the best plan are in no order without collisions; this one was searched again among the most "
+        "promising poses that the bare arm reaches straight from home"
+    )
+    if first.value is None or not np.isfinite(first.value):
+        return told
+    cost = 100.0 * (_reached(again) / first.value - 1.0)
+    numbers = "" if len(again.q) == first.count else f", with {len(again.q)} experiments instead of {first.count}"
+    return f"{told}, which costs {max(cost, 0.0):.2g} % of the criterion{numbers}"
 
 
 def _in_reach(moves: Free, start: Floats, q: Floats) -> np.ndarray:
@@ -182,17 +197,21 @@ def scheduled_choice(choice: Choice, seed: int, *, home: Floats | None = None, f
     pool = choice.pool
     covariance = covariance_of(pool.information(choice.own))
     measure = yardstick(pool.objective, covariance)
-    return schedule(
-        pool.observer,
-        choice.q,
-        choice.visit_loads,
-        pool.known.kept,
-        measure.rows @ covariance,
-        measure,
-        seed=seed,
-        home=home,
-        free=free,
-    )
+    try:
+        return schedule(
+            pool.observer,
+            choice.q,
+            choice.visit_loads,
+            pool.known.kept,
+            measure.rows @ covariance,
+            measure,
+            seed=seed,
+            home=home,
+            free=free,
+        )
+    except Blocked as error:
+        error.count, error.value = len(choice.q), value_that_counts(pool, choice.q, choice.visit_loads, choice.own)
+        raise
 
 
 def _proven(choice: Choice, ordered: Schedule | None, bought: Bought | None, reach: Reach | None) -> Plan:

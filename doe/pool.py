@@ -9,20 +9,23 @@ from typing import Protocol
 import numpy as np
 
 from doe.candidates import Candidates, candidates
+from doe.column_generation import best_weights
 from doe.draws import drawn_values
-from doe.earlier import NOTHING, Earlier, without_refused
+from doe.earlier import NOTHING, Earlier, in_reach, only, without_refused
 from doe.executor import HERE, Executor
 from doe.information import information_of
 from doe.objective import Objective, objective
 from doe.observations import Observer, identifiable, keep_columns, observer, stacked_visits
+from doe.problem import make_problem
 from doe.regions import check_test_poses, with_regions
 from doe.subject import Subject
-from identify.arrays import Floats
+from identify.arrays import Floats, Ints
 from identify.identifiability import Identifiability
 from identify.study import Study
 
 __all__ = ["AnyPool", "Pool", "build_pool", "measured_blocks"]
 
+_ROUGH = 1e-3  # gap of the relaxed design that candidates are put in order by
 _COMPARED = 4096  # blocks at a time
 
 log = logging.getLogger("elastocal")
@@ -111,6 +114,10 @@ def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING, executor: Ex
     watching = observer(study, own_visits=study.plan.references == "own_visits")
     blocks = watching.blocks(chosen.visit_q, chosen.visit_loads, executor)
     measured = measured_blocks(watching, earlier)
+    if earlier.reached is not None:
+        best = _most_promising(watching, blocks, measured)
+        kept = in_reach(study, chosen, best, earlier.reached)
+        chosen, blocks = only(chosen, kept, unreachable=int(len(kept) - kept.sum())), blocks[kept]
     known = identifiable(blocks, measured, parameters=watching.parameters)
     own = replace(_pool(watching, chosen, known, blocks, earlier, measured), executor=executor)
     draws = tuple(_at_values(own, replace(study, nominal=values)) for values in drawn)
@@ -118,6 +125,15 @@ def build_pool(study: Study, seed: int, earlier: Earlier = NOTHING, executor: Ex
     if same and draws:
         log.warning("%s: [plan] draws change nothing: these effects are linear in their values", study.path)
     return own if same else replace(own, draws=draws)
+
+
+def _most_promising(watching: Observer, blocks: Floats, measured: Floats | None) -> Ints:
+    """(N,) candidates in the order in which they would improve the relaxed design of all of them."""
+    known = identifiable(blocks, measured, parameters=watching.parameters)
+    aim = objective(watching, known, watching.study.plan.criterion)
+    prior = None if measured is None else information_of(measured[:, :, known.kept])
+    problem = make_problem(blocks[:, :, known.kept], aim.target(), aim.criterion, None, prior, None)
+    return np.argsort(-best_weights(problem, _ROUGH).d, kind="stable")
 
 
 def _at_values(pool: Pool, study: Study) -> Pool:

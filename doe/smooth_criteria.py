@@ -48,8 +48,8 @@ class Mean(Criterion):
         root = inverse_root(information)
         half = root.T @ self.target.T
         pivots, turned = eliminated(rows, root, root @ half)
-        gain = sum((np.einsum("nq,nq->n", row, row) / pivot for pivot, row in zip(pivots, turned, strict=True)))
-        return float(np.sum(half * half)) - np.asarray(gain)
+        gain = np.sum(np.einsum("qkn,qkn->kn", turned, turned) / pivots, axis=0)
+        return np.asarray(float(np.sum(half * half)) - gain)
 
     def prospect(self, information: Floats, goal: float) -> tuple[Floats, float]:
         """See `Criterion.prospect`: leaving out the inverse in `after_adding` only raises the gain."""
@@ -89,7 +89,7 @@ class Volume(Criterion):
         """See `Criterion.after_adding`: log det M grows by ``log det (I + A P A')``, P = M^-1."""
         root = inverse_root(information)
         pivots, _ = eliminated(rows, root, np.zeros((len(root), 0)))
-        growth = np.sum(np.log(np.stack(pivots)), axis=0)
+        growth = np.sum(np.log(pivots), axis=0)
         values: Floats = self.value(information) * np.exp(-growth / len(root))
         return values
 

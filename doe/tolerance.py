@@ -83,6 +83,7 @@ def fewest(pool: AnyPool, seed: int, jitter: Callable[[], Floats], choice_of: Ca
             return False
         return suffices(pool.blocks[chosen])
 
+    @functools.cache  # the last steps come by the same numbers again
     def chosen(count: int) -> _C | None:
         try:
             return choice_of(count)

@@ -19,8 +19,19 @@ __all__ = ["Blocked", "Free", "Travel", "travel_between"]
 Free = Callable[[Floats, Floats, Ints | None], np.ndarray]
 
 
+_TESTED = 2500  # moves between poses; of more, the long ones go over home untested
+
+
 class Blocked(Infeasible):
-    """Moves between the visits of a plan, which may do with other poses, collide in every order."""
+    """Moves between the visits of a plan, which may do with other poses, collide in every order.
+
+    Attributes:
+        count: Experiments of that plan.
+        value: The criterion that it would have reached; None where it is not known.
+    """
+
+    count: int = 0
+    value: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +139,15 @@ def travel_between(
     stops = q if home is None else np.vstack([q, home])
     speeds = np.where(prismatic, speed_slide, speed)
     parts = [_farthest(stops / speeds), _farthest(stops), _farthest(stops[:, ~prismatic] / DEG)]
-    layers = [_ways(parts, stops, None, free, over_home=home is not None)]
-    if free is not None and hung is not None:
-        bare = layers[0]
-        layers = [_ways(parts, stops, load, free, over_home=home is not None) if used else bare
-                  for load, used in enumerate(hung)] + [bare]  # fmt: skip
+    over_home = home is not None
+    if free is None:
+        layers = [(*parts, np.zeros(parts[0].shape, dtype=bool))]
+    else:
+        bare = _allowed(stops, None, free, _worth_testing(stops, over_home=over_home))
+        loaded = [] if hung is None else [
+            _allowed(stops, load, free, bare) if used else bare for load, used in enumerate(hung)
+        ]  # fmt: skip
+        layers = [_ways(parts, allowed, over_home=over_home) for allowed in (*loaded, bare)]
     stacked = [np.stack(each) for each in zip(*layers, strict=True)]
     if home is None:
         stacked = [np.pad(each, ((0, 0), (0, 1), (0, 1))) for each in stacked]
@@ -147,13 +162,8 @@ def _farthest(stops: Floats) -> Floats:
     return largest
 
 
-def _ways(
-    parts: list[Floats], stops: Floats, load: int | None, free: Free | None, *, over_home: bool
-) -> tuple[np.ndarray, ...]:
-    """Moves with one load: ``parts`` (S, S) of free ones, infinite where there is no way, and where home is on it."""
-    if free is None:
-        return (*parts, np.zeros(parts[0].shape, dtype=bool))
-    allowed = _allowed(stops, load, free)
+def _ways(parts: list[Floats], allowed: np.ndarray, *, over_home: bool) -> tuple[np.ndarray, ...]:
+    """Moves with one load: ``parts`` (S, S), infinite where none is ``allowed``; and which of them go over home."""
     straight = [np.where(allowed, part, np.inf) for part in parts]
     if not over_home:
         return (*straight, np.zeros_like(allowed))
@@ -162,11 +172,30 @@ def _ways(
     return (*(np.where(detour, way, part) for part, way in zip(straight, over, strict=True)), detour)
 
 
-def _allowed(stops: Floats, load: int | None, free: Free) -> np.ndarray:
-    """(S, S) True where the straight move between two stops is free with a load; staying always is."""
-    first, second = np.triu_indices(len(stops), 1)
-    allowed = np.eye(len(stops), dtype=bool)
+def _worth_testing(stops: Floats, *, over_home: bool) -> np.ndarray:
+    """(S, S) True for moves that are tested: all of them, or, with a home to go over, those to it and the shortest."""
+    tested = np.ones((len(stops), len(stops)), dtype=bool)
+    distinct = np.unique(stops, axis=0)
+    if not over_home or len(distinct) * (len(distinct) - 1) // 2 <= _TESTED:
+        return tested
+    between = _farthest(distinct)[np.triu_indices(len(distinct), 1)]
+    tested = _farthest(stops) <= np.partition(between, _TESTED)[_TESTED]
+    tested[-1], tested[:, -1] = True, True
+    return tested
+
+
+def _allowed(stops: Floats, load: int | None, free: Free, among: np.ndarray) -> np.ndarray:
+    """(S, S) True where the straight move between two stops is free with a load; staying always is.
+
+    Only moves ``among`` (S, S) may be: with a load those that the bare arm can make. Stops that are the same pose
+    share their moves.
+    """
+    distinct, place = np.unique(stops, axis=0, return_inverse=True)
+    place, possible = place.ravel(), np.zeros((len(distinct), len(distinct)), dtype=bool)
+    np.logical_or.at(possible, (place[:, None], place), among)
+    first, second = np.nonzero(np.triu(possible | possible.T, 1))
+    allowed = np.eye(len(distinct), dtype=bool)
     hung = None if load is None else np.full(len(first), load)
-    found = np.asarray(free(stops[first], stops[second], hung), dtype=bool)
-    allowed[first, second] = found | (stops[first] == stops[second]).all(axis=1)
-    return allowed | allowed.T
+    allowed[first, second] = np.asarray(free(distinct[first], distinct[second], hung), dtype=bool)
+    both: np.ndarray = (allowed | allowed.T)[place][:, place]
+    return both

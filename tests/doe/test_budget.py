@@ -8,10 +8,12 @@ import pytest
 
 from doe import exact_design
 from doe.bounds import bound_of
+from doe.exact import ExactDesign
+from doe.guard import _best_buy
 from doe.information import information_of
 from doe.order import Visits, measured
 from doe.plan import plan
-from doe.purse import prices, purse_of
+from doe.purse import Purse, prices, purse_of
 from doe.schedule import pace_of
 from doe.travel import travel_between
 from identify.errors import Infeasible
@@ -149,3 +151,30 @@ def test_what_cannot_be_paid_is_refused(tmp_path):
         plan(crawl)
     own = purse_of(made, drawn, own_visits=True)
     assert own.budget == 1150.0 - 100.0 - 200.0
+
+
+def test_only_the_most_promising_numbers_are_searched_in_full():
+    asked = []
+
+    def design(number, effort="normal"):
+        asked.append((number, effort))
+        worth = {None: 5.0, 2: 9.0, 4: 3.0, 7: 4.0, 10: 6.0}[number]
+        return ExactDesign(
+            np.zeros(1, dtype=np.int64), worth - (effort == "normal") * (number == 7) * 2.0, 1.0, 1.0, ""
+        )
+
+    best = _best_buy(design, Purse("cost_budget", 10.0, 10.0, np.array([1.0, 5.0])), 100)
+    assert [number for number, effort in asked if effort == "low"] == [None, 2, 4, 7, 10]
+    assert [number for number, effort in asked if effort == "normal"] == [4, 7]
+    assert best.value == 2.0
+
+
+def test_with_one_price_there_is_one_search_in_full():
+    asked = []
+
+    def design(number, effort="normal"):
+        asked.append((number, effort))
+        return ExactDesign(np.zeros(1, dtype=np.int64), 1.0, 1.0, 1.0, "")
+
+    _best_buy(design, Purse("time_budget_s", 10.0, 10.0, np.array([2.0, 2.0])), 100)
+    assert asked == [(None, "normal")]

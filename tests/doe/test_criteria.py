@@ -68,6 +68,18 @@ def test_adding_a_candidate_is_scored_as_its_own_value(case):
     np.testing.assert_allclose(scores[scored], values[scored], rtol=1e-9)
 
 
+@pytest.mark.parametrize("k", [1, 3, 9])
+def test_additions_of_few_and_of_many_rows_are_scored(case, k):
+    _, criterion, _, turned, _, weights = case
+    matrix = information(turned, weights)
+    rows = np.random.default_rng(k).normal(size=(k, 20, P))
+    scores = criterion.after_adding(matrix, rows)
+    values = np.array([criterion.value(matrix + block.T @ block) for block in rows.swapaxes(0, 1)])
+    assert scores.argmin() == values.argmin()
+    scored = np.isfinite(scores)
+    np.testing.assert_allclose(scores[scored], values[scored], rtol=1e-9)
+
+
 def test_no_candidate_below_the_prospect_threshold_reaches_the_goal(case):
     _, criterion, _, turned, _, weights = case
     matrix = information(turned, weights)

@@ -1,12 +1,15 @@
 """Straight joint moves against a walk in tiny steps."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from doe.candidates import candidates
 from doe.commands import run_plan
+from doe.earlier import in_reach, only
 from doe.gaps import gaps_of
 from doe.lifts import NOTHING, hung_states
 from doe.moves import STEP, free_moves
@@ -206,5 +209,69 @@ def test_poses_that_no_order_can_hold_are_left_out(tmp_path):
     assert (found.q[:, 0] < 0.0).all()
     assert found.schedule is not None
     assert 50 < found.pool.candidates.rejected["unreachable"] < 150
-    with pytest.raises(Infeasible, match="cannot be reached from the home pose"):
+    assert any(re.search(r"searched again .* costs [0-9.]+ % of the criterion", note) for note in found.notes)
+    with pytest.raises(Infeasible, match="can be reached from the home pose"):
         plan(made, home=np.array([-0.5, 0.0, 0.0]), free=lambda first, *_: np.zeros(len(first), dtype=bool))
+
+
+def test_moves_from_home_are_looked_at_for_the_most_promising_poses_until_there_are_enough(tmp_path, monkeypatch):
+    made = study(tmp_path, ARM, plan={"candidates": 60, "curve": False})
+    drawn = candidates(made, seed=0)
+    best, asked = np.random.default_rng(2).permutation(len(drawn)), []
+
+    def reached(q):
+        asked.append(q)
+        return q[:, 0] < 0.0
+
+    monkeypatch.setattr("doe.earlier._ENOUGH", 10)
+    kept = in_reach(made, drawn, best, reached)
+    looked = np.concatenate(asked)
+    assert 10 <= len(looked) < len(drawn.q)
+    np.testing.assert_array_equal(np.unique(looked, axis=0), np.unique(drawn.visit_q[best[: len(looked)]], axis=0))
+    left = only(drawn, kept, unreachable=int(len(kept) - kept.sum()))
+    assert len(left.q) >= 5
+    np.testing.assert_array_equal(np.unique(left.visit_q, axis=0), np.unique(looked[looked[:, 0] < 0.0], axis=0))
+    assert len(left) + left.rejected["unreachable"] == len(drawn)
+
+
+def test_the_same_pose_is_tested_once_and_long_moves_between_many_poses_go_over_home(monkeypatch):
+    asked = []
+
+    def free(start, end, loads):
+        asked.append((start, end, loads))
+        return np.ones(len(start), dtype=bool)
+
+    home, few = np.zeros(2), np.array([[0.3, 0.0], [0.1, 0.2], [0.3, 0.0], [0.3, 0.0]])
+    hung, turning = np.array([False, True]), np.zeros(2, dtype=bool)
+    travel = travel_between(few, turning, home=home, free=free, hung=hung)
+    assert [len(start) for start, _, _ in asked] == [3, 3]  # two poses and home: with nothing, with the weight
+    assert travel.length[0, 0, 2] == 0.0
+    assert not travel.detour.any()
+
+    monkeypatch.setattr("doe.travel._TESTED", 100)
+    many = np.random.default_rng(3).uniform(-1.0, 1.0, (60, 2))
+    asked.clear()
+    travel = travel_between(many, turning, home=home, free=free, hung=hung)
+    assert all(100 <= len(start) <= 100 + 61 for start, _, _ in asked)
+    size = np.abs(many[:, None] - many).max(axis=2)
+    over = np.abs(many).max(axis=1)
+    far = size > np.sort(size[np.triu_indices(60, 1)])[101]
+    np.testing.assert_allclose(travel.length[0, :-1, :-1][far], (over[:, None] + over)[far])
+    np.testing.assert_allclose(travel.length[0, :-1, :-1][size < 0.05], size[size < 0.05])
+    asked.clear()
+    travel_between(many, turning, free=free)  # without a home there is nothing to go over: all are tested
+    assert [len(start) for start, _, _ in asked] == [60 * 59 // 2]
+
+
+def test_a_weight_is_not_tried_on_a_move_that_the_bare_arm_cannot_make():
+    loaded = []
+
+    def free(start, end, loads):
+        if loads is not None:
+            loaded.append(len(start))
+        return np.abs(end - start).max(axis=1) < 1.0
+
+    q = np.array([[0.0], [0.9], [1.8]])
+    travel = travel_between(q, np.zeros(1, dtype=bool), free=free, hung=np.array([True]))
+    assert loaded == [2]
+    assert not np.isfinite(travel.length[:, 0, 2]).any()
