@@ -24,6 +24,7 @@ __all__ = ["branch_and_bound", "possible"]
 
 CLOSED = 1e-6  # relative gap at which a node needs no more work
 NEAR = 1e-4  # gap to which a node is solved that has to be split anyway
+TRIAL, HOPE, MANY = 50, 0.15, 300  # after so many nodes this share of the gap must be closed; less with more nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +78,20 @@ class _Tree:
         self._add(Box(np.zeros(len(shares), np.int64), most if pool.limits.repeats else np.minimum(most, 1)))
 
     def grow(self, nodes: int) -> None:
-        """Split nodes until all are closed or ``nodes`` have been solved."""
+        """Split nodes until all are closed, ``nodes`` have been solved, or the first ones hardly raise the bound."""
+        start, hope = self._gap(), min(HOPE, HOPE * MANY / nodes)
         while self.open and self.made < nodes:
+            if TRIAL <= self.made < TRIAL + 2 and self._gap() > (1.0 - hope) * start:
+                break
             bound, _, node = heapq.heappop(self.open)
             if bound >= self._goal():
                 continue
             for part in node.box.split(*node.fork):
                 self._add(part)
+
+    def _gap(self) -> float:
+        """Relative gap between the best plan and the bound."""
+        return 1.0 - self.bound() / self.plan.value
 
     def bound(self) -> float:
         """No plan on these candidates has a smaller value."""

@@ -75,7 +75,8 @@ def choose(
     study, aim = pool.observer.study, pool.objective
     log.info("%d candidates, %d parameters; searching %s experiments",
              len(pool.blocks), aim.size, "affordable" if count is None else count)  # fmt: skip
-    chosen, guard, notes = guarded_search(pool, count, seed, purse=purse)
+    # a plan that leaves the grid is proven at the end alone
+    chosen, guard, notes = guarded_search(pool, count, seed, purse=purse, prove=not study.plan.refine)
     best = guard.best
     most = None if best is None else study.plan.max_std_percent / 100.0 * best
     start = Visits(pool.candidates.visit_q[chosen], pool.candidates.visit_loads[chosen], pool.blocks[chosen])

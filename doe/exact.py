@@ -82,6 +82,7 @@ def exact_design(
     effort: str = "normal",
     seed: int = 0,
     restarts: int = 1,
+    prove: bool = True,
     executor: Executor = HERE,
 ) -> ExactDesign:
     """Best plan of n experiments for ``M = sum_i counts_i A_i'A_i + prior``.
@@ -98,6 +99,7 @@ def exact_design(
         effort: low, normal or high: how many rounds of search and nodes of branch and bound.
         seed: Of the random moves; same seed, same plan.
         restarts: Iterated local searches, of which the best counts; the first one is the only one of ``restarts=1``.
+        prove: Close a small gap by branch and bound, which sometimes finds a better plan too.
         executor: Who does the restarts.
 
     Returns:
@@ -112,7 +114,8 @@ def exact_design(
         raise InputError(f"effort is {effort!r}, allowed: {', '.join(EFFORTS)}")
     if isinstance(restarts, bool) or not isinstance(restarts, (int, np.integer)) or restarts < 1:
         raise InputError(f"restarts is {restarts!r}, needed: a whole number of at least 1")
-    asked = replace(EFFORTS[effort], restarts=int(restarts))
+    nodes = EFFORTS[effort].nodes if prove else 0
+    asked = replace(EFFORTS[effort], restarts=int(restarts), nodes=nodes)
     with one_thread():
         problem = make_problem(blocks, target, criterion, None, prior, None)
         limits = _checked_limits(n, repeats, costs, budget, len(problem.blocks))

@@ -46,7 +46,14 @@ class Guard:
 
 
 def search(
-    pool: AnyPool, count: int | None, seed: int, guard: Guard, *, effort: str = "normal", purse: Purse | None = None
+    pool: AnyPool,
+    count: int | None,
+    seed: int,
+    guard: Guard,
+    *,
+    effort: str = "normal",
+    purse: Purse | None = None,
+    prove: bool = True,
 ) -> Ints:
     """Indices of the chosen candidates (n,) for the criterion of the study, repeats included.
 
@@ -57,6 +64,7 @@ def search(
         guard: What is weighed in.
         effort: As in `doe.exact.exact_design`.
         purse: What may be spent.
+        prove: Also search by branch and bound.
 
     Raises:
         InputError: A purse in a plan that must be robust, whose exchanges do not look at costs.
@@ -65,7 +73,7 @@ def search(
     if count == 0:
         return np.zeros(0, dtype=np.int64)
     aim, losses = pool.objective, pool.observer.settings.losses
-    chosen = _found(pool, guard.target(aim), count, seed, aim.criterion, effort, purse)
+    chosen = _found(pool, guard.target(aim), count, seed, aim.criterion, effort, purse, prove=prove)
     if not losses and not pool.draws:
         return chosen
     if purse is not None:
@@ -91,6 +99,8 @@ def _found(
     criterion: str,
     effort: str = "normal",
     purse: Purse | None = None,
+    *,
+    prove: bool = True,
 ) -> Ints:
     """The best design on the candidates: ``count`` of them, or what the purse pays for.
 
@@ -112,6 +122,7 @@ def _found(
             effort=effort,
             seed=seed,
             restarts=asked.settings.restarts,
+            prove=prove,
             executor=pool.executor,
         )
 
@@ -158,7 +169,13 @@ def _best_buy(design: Callable[..., ExactDesign], purse: Purse, candidates: int)
 
 
 def guarded_search(
-    pool: AnyPool, count: int | None, seed: int, best: Floats | None = None, *, purse: Purse | None = None
+    pool: AnyPool,
+    count: int | None,
+    seed: int,
+    best: Floats | None = None,
+    *,
+    purse: Purse | None = None,
+    prove: bool = True,
 ) -> tuple[Ints, Guard, tuple[str, ...]]:
     """Search; where the plan sees little but the test poses, weigh the parameters' own variances in.
 
@@ -168,6 +185,7 @@ def guarded_search(
         seed: Of the search.
         best: (p,) standard deviations that count as the best; None to search for them.
         purse: What may be spent.
+        prove: Also search by branch and bound.
 
     Returns:
         Chosen candidates, the guard they were found with, and notes.
@@ -176,11 +194,11 @@ def guarded_search(
         Infeasible: ``max_std_percent`` cannot be met.
     """
     aim, asked = pool.objective, pool.observer
-    chosen = search(pool, count, seed, Guard(), purse=purse)
+    chosen = search(pool, count, seed, Guard(), purse=purse, prove=prove)
     if aim.criterion not in {"test_pose", "G"} or count == 0:
         return chosen, Guard(), ()
     if best is None:
-        thorough = _found(pool, np.eye(aim.size), count, seed, "A", purse=purse)
+        thorough = _found(pool, np.eye(aim.size), count, seed, "A", purse=purse, prove=False)
         best = standard_deviations(pool.information(pool.blocks[thorough]))
     percent = asked.settings.max_std_percent
     name, ratio = _worst(pool, pool.blocks[chosen], best)

@@ -75,7 +75,7 @@ def search_off_grid(search: OffGrid, chosen: Ints, start: Visits) -> tuple[Visit
     first = best, refinement, search.pool
     for _ in range(_EXCHANGES):
         pool = joined_pool(search.pool, search.reach, best.q, best.loads, keep=chosen)
-        again, _, _ = guarded_search(pool, search.count, search.seed, search.best)
+        again, _, _ = guarded_search(pool, search.count, search.seed, search.best, prove=False)
         exchanged = Visits(pool.candidates.visit_q[again], pool.candidates.visit_loads[again], pool.blocks[again])
         further = replace(search, pool=replace(search.pool, observer=pool.observer))
         found, other = _moved(further, again, exchanged)

@@ -120,6 +120,7 @@ def test_a_plan_leaves_a_study_with_the_choices_made_that_gives_the_same_figures
     assert {line.split(",")[2] for line in read.splitlines()[1:]} == set(chosen["markers"])
 
 
+@pytest.mark.slow
 def test_refined_poses_keep_every_constraint_of_the_cell(tmp_path):
     limits = {
         "clearance_mm": 30.0,
@@ -129,7 +130,7 @@ def test_refined_poses_keep_every_constraint_of_the_cell(tmp_path):
     }
     changes = {
         "tracker_stations": STATIONS[:1], "noise": TRACKER, "constraints": limits,
-        "marker_normals": {"M1": [1.0, 0.0, 0.0]}, "plan": {"candidates": 300, "poses": 10},
+        "marker_normals": {"M1": [1.0, 0.0, 0.0]}, "plan": {"candidates": 200, "poses": 6},
     }  # fmt: skip
     study = load_study(study_file(tmp_path, KR270, **changes))
     made = plan(study, seed=0)

@@ -91,7 +91,7 @@ def test_branch_and_bound_needs_no_good_plan_to_start_from(repeats):
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(1))
 def test_a_tightened_box_keeps_every_better_plan(seed, criterion):
     rng = np.random.default_rng(seed)
     blocks, target = rng.normal(size=(9, 2, 3)), rng.normal(size=(2, 2, 3))

@@ -124,7 +124,7 @@ def fenced(folder, **constraints):
     path = study_file(
         folder, KR270, plan={"poses": 6, "candidates": 60, "refine": False, "curve": False, "loads": ["L1", "L2"]},
         times={"pose_s": 30.0, "speed_deg_s": 10.0}, constraints={"boxes": FENCES, **constraints},
-        test_poses=[{"joints_deg": [0.0, -100.0, 120.0, 0.0, 45.0, 0.0], "wrench": [0.0, 0.0, -1500.0, 0.0, 0.0, 0.0]}],
+        test_poses=[{"joints_deg": [90.0, -60.0, 90.0, 0.0, 45.0, 0.0], "wrench": [0.0, 0.0, -1500.0, 0.0, 0.0, 0.0]}],
     )  # fmt: skip
     outcome, study = run_plan(path, seed=0, out=folder / "out"), load_study(path)
     (folder / "plan.csv").write_text(outcome.tables["plan.csv"])

@@ -213,7 +213,7 @@ def test_without_a_guard_the_plan_sees_only_the_test_pose_and_says_so(tmp_path):
 
 
 @pytest.mark.parametrize("robot", ["planar_2r", "planar_3r"])
-@pytest.mark.parametrize("refine", [False, True])
+@pytest.mark.parametrize("refine", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_by_default_no_parameter_is_told_three_times_worse_than_in_the_best_plan(tmp_path, robot, refine):
     made = plan(planar_geometry(tmp_path, robot, refine=refine))
     ratio = standard_deviations(made.information) / std_under_the_best_plan_for_the_parameters(made)
@@ -277,7 +277,7 @@ def test_each_criterion_is_best_served_by_its_own_plan(tmp_path):
 
 
 def test_several_loads_and_two_of_them_at_each_pose(tmp_path):
-    settings = {"loads": ["L1", "L2"], "candidates": 200, "poses": 5}
+    settings = {"loads": ["L1", "L2"], "candidates": 100, "poses": 5, "refine": False}
     single = plan(study(tmp_path, KR270, plan=settings))
     assert set(single.visit_loads[:, 0]) == {0}
     assert set(single.visit_loads[:, 1]) <= {1, 2}
@@ -326,8 +326,9 @@ def test_every_pose_keeps_to_the_constraints_after_refinement(tmp_path, mount):
 
 
 def test_tight_constraints_bind_and_are_kept(tmp_path):
-    free = plan(study(tmp_path, KR270, constraints={"floor_mm": None, "joint_margin_deg": 0.0}))
-    tight = plan(study(tmp_path, KR270, constraints={"floor_mm": 900.0, "joint_margin_deg": 25.0}))
+    few = {"candidates": 150, "poses": 6}
+    free = plan(study(tmp_path, KR270, plan=few, constraints={"floor_mm": None, "joint_margin_deg": 0.0}))
+    tight = plan(study(tmp_path, KR270, plan=few, constraints={"floor_mm": 900.0, "joint_margin_deg": 25.0}))
     inside(tight)
     assert not check(tight.pool.observer.study, free.q, free.visit_loads).ok.all()
     assert tight.final.value > free.final.value
@@ -341,7 +342,7 @@ def test_loads_beyond_the_payload_are_never_planned(tmp_path):
 
 
 def test_the_same_seed_gives_the_same_arrays_and_another_one_others(tmp_path):
-    whole = study(tmp_path, KR270, plan={"candidates": 150, "poses": 5})
+    whole = study(tmp_path, KR270, plan={"candidates": 80, "poses": 4})
     first, second, other = plan(whole, seed=3), plan(whole, seed=3), plan(whole, seed=4)
     for name in ("q", "visit_loads", "information"):
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
@@ -387,9 +388,9 @@ def widest(made):
 @pytest.mark.parametrize(
     ("tolerance", "settings"),
     [
-        (0.0768, {}),
+        pytest.param(0.0768, {}, marks=pytest.mark.slow),
         (0.0768, {"repeats": False, "refine": False}),
-        (0.0785, {"criterion": "D"}),
+        pytest.param(0.0785, {"criterion": "D"}, marks=pytest.mark.slow),
         (0.0772, {"confidence": 0.951, "candidates": 150}),
     ],
 )
@@ -405,7 +406,7 @@ def test_a_tolerance_is_kept_by_the_smallest_number_of_experiments(tmp_path, tol
 
 
 def test_a_tolerance_with_a_guard_is_kept_by_the_guarded_plan(tmp_path):
-    settings = {"poses": None, "tolerance_mm": 1.0, "candidates": 200, "refine": False}
+    settings = {"poses": None, "tolerance_mm": 1.0, "candidates": 80, "refine": False}
     made = plan(planar_geometry(tmp_path, "planar_2r", **settings))
     assert "costs" in made.notes[0], "the guard is at work"
     assert widest(made) <= 1.0
@@ -462,7 +463,7 @@ def test_joints_that_are_no_springs_are_planned_by_differences(tmp_path):
         "gravity_compensator": {"mode": "harmonics", "orders": [1]},
         "reference": "absolute",
     }
-    changes = {"poses": 8, "candidates": 100, "loads": ["L1", "L2"], "loads_per_pose": 2}
+    changes = {"poses": 6, "candidates": 60, "loads": ["L1", "L2"], "loads_per_pose": 2}
     frames, tests = {"measurement": "base", "markers": "exact"}, KR270["test_poses"][:1]
     result = plan(study(tmp_path, KR270, model=model, plan=changes, frames=frames, test_poses=tests))
     assert result.refinement.status == "L-BFGS-B on differences"

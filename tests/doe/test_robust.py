@@ -92,7 +92,7 @@ def test_without_repeats_no_pose_is_taken_twice(tmp_path):
     assert made.robust.reached.bound <= made.robust.reached.value
 
 
-@pytest.mark.parametrize("refine", [False, True])
+@pytest.mark.parametrize("refine", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_losing_any_visit_of_a_robust_plan_keeps_the_stated_accuracy(tmp_path, refine):
     settings = {"poses": None, "tolerance_mm": 0.0768, "candidates": 150, "refine": refine}
     whole = study(tmp_path, KR270, plan={**settings, "robust_to_losses": 1})
