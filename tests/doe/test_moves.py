@@ -119,14 +119,15 @@ FENCES = [  # in front and behind; between them the arm turns freely
 ]
 
 
-def fenced(folder, **constraints):
+def fenced(folder, sides, seed=0, **constraints):
     """The summary of a plan among fences, its moves, and which of them are free with what hangs on the way."""
+    push = {"wrench": [0.0, 0.0, -1500.0, 0.0, 0.0, 0.0], "attach_mm": [300.0, 0.0, 0.0]}
     path = study_file(
         folder, KR270, plan={"poses": 6, "candidates": 60, "refine": False, "curve": False, "loads": ["L1", "L2"]},
         times={"pose_s": 30.0, "speed_deg_s": 10.0}, constraints={"boxes": FENCES, **constraints},
-        test_poses=[{"joints_deg": [90.0, -60.0, 90.0, 0.0, 45.0, 0.0], "wrench": [0.0, 0.0, -1500.0, 0.0, 0.0, 0.0]}],
+        test_poses=[{"joints_deg": [side, -60.0, 90.0, 0.0, 45.0, 0.0], **push} for side in sides],
     )  # fmt: skip
-    outcome, study = run_plan(path, seed=0, out=folder / "out"), load_study(path)
+    outcome, study = run_plan(path, seed=seed, out=folder / "out"), load_study(path)
     (folder / "plan.csv").write_text(outcome.tables["plan.csv"])
     experiment = plan_experiment(load_plan(folder / "plan.csv", study), study)
     loads = experiment.shot_load.reshape(len(experiment.visits), -1)
@@ -141,7 +142,7 @@ def fenced(folder, **constraints):
 
 def test_moves_are_looked_at_without_a_home_pose_and_those_that_collide_are_named(tmp_path):
     """A fence parts the poses; nobody said where a way around is, so the plan stands and says what not to drive."""
-    made, experiment, free = fenced(tmp_path)
+    made, experiment, free = fenced(tmp_path, (-90.0, 90.0), seed=2)
     named = [tuple(pair) for pair in made["order"]["blocked"]]
     names = experiment.visits
     assert named == [(names[k], names[k + 1]) for k in np.flatnonzero(~free)]
@@ -154,7 +155,7 @@ def test_moves_are_looked_at_without_a_home_pose_and_those_that_collide_are_name
 
 def test_poses_on_one_side_of_a_fence_are_joined_by_free_moves(tmp_path):
     wall = {"name": "side", "point_mm": [0.0, -400.0, 0.0], "normal": [0.0, 1.0, 0.0]}
-    made, _, free = fenced(tmp_path, walls=[wall])
+    made, _, free = fenced(tmp_path, (-90.0,), seed=2, walls=[wall])
     assert made["order"]["blocked"] == []
     assert free.all()
     assert not any("home_deg" in note for note in made["notes"])
