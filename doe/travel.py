@@ -179,7 +179,7 @@ def _worth_testing(stops: Floats, *, over_home: bool) -> np.ndarray:
     if not over_home or len(distinct) * (len(distinct) - 1) // 2 <= _TESTED:
         return tested
     between = _farthest(distinct)[np.triu_indices(len(distinct), 1)]
-    tested = _farthest(stops) <= np.partition(between, _TESTED)[_TESTED]
+    tested = np.asarray(_farthest(stops) <= np.partition(between, _TESTED)[_TESTED])
     tested[-1], tested[:, -1] = True, True
     return tested
 
