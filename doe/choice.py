@@ -17,6 +17,7 @@ from doe.reach import Reach
 from doe.refine import Refinement
 from doe.robustness import value_that_counts
 from identify.arrays import Floats, Ints
+from identify.units import counted
 
 __all__ = ["Choice", "all_poses_count", "choose"]
 
@@ -73,8 +74,9 @@ def choose(
         NotIdentifiable: So many experiments cannot show what the criterion needs.
     """
     study, aim = pool.observer.study, pool.objective
-    log.info("%d candidates, %d parameters; searching %s experiments",
-             len(pool.blocks), aim.size, "affordable" if count is None else count)  # fmt: skip
+    sought = "affordable experiments" if count is None else counted(count, "experiment")
+    log.info("%s, %s; searching %s",
+             counted(len(pool.blocks), "candidate"), counted(aim.size, "parameter"), sought)  # fmt: skip
     # a plan that leaves the grid is proven at the end alone
     chosen, guard, notes = guarded_search(pool, count, seed, purse=purse, prove=not study.plan.refine)
     best = guard.best
@@ -82,7 +84,7 @@ def choose(
     start = Visits(pool.candidates.visit_q[chosen], pool.candidates.visit_loads[chosen], pool.blocks[chosen])
     found, refinement = start, None
     if study.plan.refine and len(chosen):
-        log.info("searching %d experiments off the grid", len(chosen))
+        log.info("searching %s off the grid", counted(len(chosen), "experiment"))
         if reach is None or count is None:
             found, refinement = _moved_beside(pool, chosen, start, most)
         else:

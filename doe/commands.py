@@ -45,6 +45,7 @@ from doe.plan import Plan, plan
 from doe.planned_study import planned_toml, setting_lines, settings_json, used_settings
 from doe.regions import poses_in
 from doe.schedule import time_as_given
+from doe.study_notes import study_notes, work_notes
 from identify.arrays import Floats
 from identify.commands import Outcome
 from identify.config import load_study
@@ -98,7 +99,13 @@ def run_plan(
         "references": "own_visits" if made.pool.observer.own_visits else "same_visit",
         "approach_deg": approach_json(study),
         "budget": budget_json(made),
-        "notes": [*told, *made.notes, *order_notes(made.schedule, experiment.visits)],
+        "notes": [
+            *told,
+            *study_notes(study),
+            *work_notes(reached),
+            *made.notes,
+            *order_notes(made.schedule, experiment.visits),
+        ],
     }
     tables = {"plan.csv": plan_csv(experiment, study)}
     lines = (*judgement_lines(content, len(made.q)), *order_lines(made.schedule), *budget_lines(made),
@@ -147,7 +154,7 @@ def run_evaluate(
         "confusability": confusability_json(study, experiment),
         "measured": _measured(study, aim, earlier, judged.prior),
         "time_s": time_as_given(study, experiment),
-        "notes": [*told, *broken_notes(judged.broken)],
+        "notes": [*told, *study_notes(stated), *work_notes(reached), *broken_notes(judged.broken)],
     }
     lines = (
         *judgement_lines(content, judged.visits),

@@ -136,7 +136,10 @@ def decide(study: Study, *, seed: int, executor: Executor = HERE) -> tuple[Study
         raise judge.errors[best.station, best.markers]
     where = "" if best.station is None else f"tracker at {best.station}"
     mounted = ", ".join(best.markers)
-    log.info("chosen out of %d: %s", len(tried), "; ".join(filter(None, [where, mounted and f"markers {mounted}"])))
+    blind = sum(not np.isfinite(option.value) for option in tried)
+    told = f"{len(tried)}, {blind} of them without a plan" if blind else str(len(tried))
+    if best.rank:  # nothing is chosen where no option shows anything; the plan says why
+        log.info("chosen out of %s: %s", told, "; ".join(filter(None, [where, mounted and f"markers {mounted}"])))
     return _with(study, best.station, best.markers), Decision(best, tried, complete)
 
 

@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from identify.arrays import Floats
 from identify.springs import cross
 
-__all__ = ["box_gap_axes", "crosses_box", "point_box_distance", "segment_box_distance", "segment_distance"]
+__all__ = [
+    "box_distance",
+    "box_gap_axes",
+    "crosses_box",
+    "point_box_distance",
+    "segment_box_distance",
+    "segment_distance",
+]
 
+_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))  # of a box of half size 1
+_EDGES = tuple(
+    np.array([np.insert(side, axis, end) for axis in range(3) for side in product((-1.0, 1.0), repeat=2)])
+    for end in (-1.0, 1.0)
+)  # their ends
 _PARALLEL = 1e-9  # sine of the angle below which two edges give no axis of their own
 
 
@@ -90,6 +104,27 @@ def box_gap_axes(first: Floats, first_half: Floats, second: Floats, second_half:
     edges = edges[length > _PARALLEL] / length[length > _PARALLEL, None]
     axes = np.vstack([first.T, second.T, edges])
     return axes, np.abs(axes @ first) @ first_half + np.abs(axes @ second) @ second_half
+
+
+def box_distance(offsets: Floats, first: Floats, first_half: Floats, second: Floats, second_half: Floats) -> Floats:
+    """Distance of two boxes of fixed orientation that do not overlap, m, for N offsets of their centres.
+
+    The nearest points lie on an edge of the first box, or one of them is a corner of the second one.
+
+    Args:
+        offsets: (N, 3) centre of the first box less that of the second one.
+        first: (3, 3) axes of the first box as columns.
+        first_half: (3,) half its size, m.
+        second: (3, 3) axes of the other one.
+        second_half: (3,) half its size, m.
+
+    Returns:
+        (N,); 0 where they touch.
+    """
+    start, end = ((offsets[:, None] + points * first_half @ first.T) @ second for points in _EDGES)
+    corners = (_CORNERS * second_half @ second.T - offsets[:, None]) @ first
+    edges = segment_box_distance(start, end, second_half).min(axis=1)
+    return np.asarray(np.minimum(edges, point_box_distance(corners, first_half).min(axis=1)))
 
 
 def _dot(x: Floats, y: Floats) -> Floats:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from doe.capsules import Capsules, capsules
-from doe.distances import box_gap_axes, point_box_distance, segment_box_distance
+from doe.distances import box_distance, box_gap_axes, point_box_distance, segment_box_distance
 from doe.floor import FloorPoints, floor_points, load_points
 from doe.hung_frames import HungFrames
 from doe.parked import Parked, parked
@@ -127,13 +127,16 @@ class Gaps:
         return gap - self.clearance
 
     def _hung_to_box(self, tops: Floats, box: Box) -> Floats:
-        """(N, L) distance of ropes and bodies to a box, m."""
+        """(N, L) distance of ropes and bodies to a box, m; of those further off than the clearance a lower bound."""
         hung = self.weights
         ends, centres = hung.below(tops, hung.hang), hung.centres(tops)
         gap = _segments_to_box(tops, ends, np.zeros(len(hung.hang)), box, self.clearance)
         for i in np.flatnonzero(hung.extended):
             axes, reach = box_gap_axes(box.rotation, box.half, hung.axes, hung.half[i])
-            body = (np.abs((centres[:, i] - box.centre) @ axes.T) - reach).max(axis=1)
+            offset = centres[:, i] - box.centre
+            body = (np.abs(offset @ axes.T) - reach).max(axis=1)
+            near = (body >= 0.0) & (body < self.clearance)  # beside edges and corners the true distance is larger
+            body[near] = box_distance(offset[near], hung.axes, hung.half[i], box.rotation, box.half)
             gap[:, i] = np.minimum(gap[:, i], body)
         return gap
 

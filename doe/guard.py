@@ -17,6 +17,7 @@ from doe.purse import Purse
 from doe.robust import exchanged, worst_case
 from identify.arrays import Floats, Ints
 from identify.errors import Infeasible, InputError, NotIdentifiable
+from identify.units import counted
 
 __all__ = ["Guard", "blind_spot", "guarded_search", "search"]
 
@@ -85,7 +86,7 @@ def search(
     left = after_losses(pool.blocks[chosen], losses, pool.prior)
     if not np.isfinite(worst_case([aim], [left])[0]):
         raise NotIdentifiable(
-            f"{pool.observer.path}: [plan] {count} poses are too few for robust_to_losses = {losses}: after the worst "
+            f"{pool.observer.path}: [plan] {_few(count, None)} for robust_to_losses = {losses}: after the worst "
             f"loss the rest does not show what criterion {aim.criterion} needs; plan more poses"
         )
     return chosen
@@ -132,7 +133,7 @@ def _found(
         columns = [index for index in error.missing if isinstance(index, int)]
         names = tuple(pool.observer.names[pool.known.kept[index]] for index in columns)
         raise NotIdentifiable(
-            f"{asked.path}: [plan] {_amount(count, purse)} are too few: no plan of them shows "
+            f"{asked.path}: [plan] {_few(count, purse)}: no plan of them shows "
             f"{', '.join(names) or 'all parameters'}, which criterion {criterion} needs; plan more poses, more loads "
             "at each pose or more markers",
             names,
@@ -226,7 +227,14 @@ def guarded_search(
 
 def _amount(count: int | None, purse: Purse | None) -> str:
     """How much may be measured, in words."""
-    return f"{count} poses" if purse is None else f"the poses that {purse.key} = {purse.asked:g} pays for"
+    if purse is None:
+        return counted(count or 0, "pose")
+    return f"the poses that {purse.key} = {purse.asked:g} pays for"
+
+
+def _few(count: int | None, purse: Purse | None) -> str:
+    """That so much is too little, in words."""
+    return f"{_amount(count, purse)} {'is' if count == 1 and purse is None else 'are'} too few"
 
 
 def blind_spot(pool: AnyPool, own: Floats, best: Floats) -> tuple[str, ...]:

@@ -31,6 +31,10 @@ from identify.threads import one_thread
 
 __all__ = ["Others", "Refinement", "can_refine", "refine"]
 
+_LONG = (
+    40  # visits; in longer plans the same ones stay together, and beyond as many different ones iterations are fewer
+)
+_FEWEST = 60  # of these
 _ASIDE = 0.002  # rad: the solver starts this far from the plan, so that it leaves a saddle point
 _APART = 0.02  # rad: visits of one pose start this far from each other
 _CLEARANCE = 1e-6  # m above the floor that the solver keeps, so that its rounding does not break it
@@ -141,6 +145,9 @@ def refine(
 ) -> Refinement:
     """Improve a plan by moving its joint values; one row is one visit, a pose visited twice stands twice.
 
+    In plans of more than 40 visits, those of one pose and load stay together: they have little to gain from parting,
+    and the work grows with the different visits alone.
+
     Args:
         observer: What turns poses into blocks.
         q: (n, dof) joint values of the plan, rad or m.
@@ -167,10 +174,36 @@ def refine(
         InputError: Shapes do not fit, or a guard is given for D.
     """
     q = np.array(q, dtype=np.float64)
-    problem = _problem(observer, q, visit_loads, kept, lower, upper, floor, others)
-    problem = _with_goal(problem, criterion, target, guard, max_std)
+    if len(q) > _LONG and q.ndim == 2 and visit_loads.shape[:1] == q.shape[:1]:
+        first, place = _distinct(q, visit_loads)
+    else:
+        first = place = np.arange(len(q))
+    problem = _problem(observer, q[first], visit_loads[first], kept, lower, upper, floor, others, np.bincount(place))
+    found = _refined(
+        _with_goal(problem, criterion, target, guard, max_std),
+        q[first],
+        can_refine(observer, criterion),
+        None if allowed is None else lambda moved: np.asarray(allowed(moved[place]))[first],
+        min(max_iterations, max(_FEWEST, max_iterations * _LONG // len(first))),
+    )
+    return replace(found, q=found.q[place])
+
+
+def _distinct(q: Floats, visit_loads: Ints) -> tuple[Ints, Ints]:
+    """Where each different visit of a plan stands first, and (n,) which of these each visit is."""
+    _, first, place = np.unique(np.hstack([q, visit_loads]), axis=0, return_index=True, return_inverse=True)
+    return first, place.ravel()
+
+
+def _refined(
+    problem: _Problem,
+    q: Floats,
+    reason: str | None,
+    allowed: Callable[[Floats], np.ndarray] | None,
+    max_iterations: int,
+) -> Refinement:
+    """The better plan of different visits (n, dof), or the given one with the reason."""
     before = problem.value(q)
-    reason = can_refine(observer, criterion)
     if reason is None and not np.isfinite(before):
         reason = "the plan to start from does not show all kept parameters"
     if reason is not None:
@@ -193,6 +226,7 @@ class _Problem:
     Attributes:
         observer: What turns poses into blocks.
         visit_loads: (n, L).
+        times: (n,) how often each visit is made.
         kept: Kept columns of the observer's model.
         others: What else belongs to the plan, or None.
         basis: (p, p) coordinates in which the given plan has the information I.
@@ -205,6 +239,7 @@ class _Problem:
 
     observer: Observer
     visit_loads: Ints
+    times: Ints
     kept: Ints
     others: Others | None
     basis: Floats
@@ -224,7 +259,7 @@ class _Problem:
     def value(self, q: Floats, criterion: Criterion | None = None) -> float:
         """The criterion by the exact blocks; infinite where the information is singular."""
         try:
-            rows = _rows(self.observer, q, self.visit_loads, self.kept, self.others) @ self.basis
+            rows = _rows(self.observer, q, self.visit_loads, self.times, self.kept, self.others) @ self.basis
             return (criterion or self.criterion).value(rows.T @ rows)
         except np.linalg.LinAlgError:
             return float("inf")
@@ -248,9 +283,10 @@ class _Problem:
         return self.spread is None or self.value(moved, self.spread) <= max(1.0, self.value(q, self.spread))
 
 
-def _rows(observer: Observer, q: Floats, visit_loads: Ints, kept: Ints, others: Others | None) -> Floats:
+def _rows(observer: Observer, q: Floats, visit_loads: Ints, times: Ints, kept: Ints, others: Others | None) -> Floats:
     """Stacked whitened rows of the whole plan on all its kept columns, (K, p)."""
-    rows: Floats = observer.blocks(q, visit_loads)[:, :, kept].reshape(-1, len(kept))
+    blocks = observer.blocks(q, visit_loads)[:, :, kept] * np.sqrt(times)[:, None, None]
+    rows: Floats = blocks.reshape(-1, len(kept))
     return rows if others is None else np.vstack([others.spread(rows), others.rows])
 
 
@@ -263,16 +299,16 @@ def _problem(
     upper: Floats,
     floor: float | None,
     others: Others | None,
+    times: Ints,
 ) -> _Problem:
     """Check the plan and choose coordinates; the criterion is A until another is set."""
     dof = observer.study.robot.n
     if q.ndim != 2 or q.shape[1] != dof or visit_loads.shape[:1] != q.shape[:1] or len(q) == 0:
         raise InputError(f"q has shape {q.shape} and visit_loads {visit_loads.shape}, needed: (n, {dof}) and (n, L)")
-    basis = _whitening_basis(_rows(observer, q, visit_loads, kept, others))
+    basis = _whitening_basis(_rows(observer, q, visit_loads, times, kept, others))
     lowest, highest = (np.broadcast_to(np.asarray(bound, dtype=np.float64), q.shape) for bound in (lower, upper))
-    return _Problem(
-        observer, visit_loads, kept, others, basis, lowest, highest, -np.inf if floor is None else floor, Mean(basis)
-    )
+    lowest_point = -np.inf if floor is None else floor
+    return _Problem(observer, visit_loads, times, kept, others, basis, lowest, highest, lowest_point, Mean(basis))
 
 
 def _with_goal(
@@ -395,6 +431,8 @@ def _solver(problem: _Problem, max_iterations: int) -> Any:
         own, fixed = problem.basis[problem.others.place], problem.others.rows @ problem.basis
         known = fixed.T @ fixed
     rows = ca.DM(own.T) @ block(q, problem.loads)
+    often = np.repeat(np.sqrt(problem.times), rows.shape[1] // count)
+    rows = rows * ca.repmat(ca.DM(often).T, p, 1)
     information = rows @ rows.T + ca.DM(known)
     objective = _goal(problem.criterion, p)(information, sharpness)
     limits = []  # all of them at least 0

@@ -14,6 +14,7 @@ from doe.refine import Others, Refinement
 from doe.storage import joined
 from doe.two_arm_pool import TwoArmPool, kept_of
 from identify.arrays import Floats, Ints
+from identify.units import counted
 
 __all__ = ["ArmVisits", "TwoArmChoice", "choose_for_both"]
 
@@ -61,7 +62,8 @@ class TwoArmChoice:
 def choose_for_both(pool: TwoArmPool, count: int, seed: int) -> TwoArmChoice:
     """Search ``count`` experiments of both arms together on their grids and refine them."""
     aim, asked = pool.objective, pool.observer.settings
-    log.info("%d candidates, %d parameters; searching %d experiments", len(pool.blocks), aim.size, count)
+    log.info("%s, %s; searching %s", counted(len(pool.blocks), "candidate"), counted(aim.size, "parameter"),
+             counted(count, "experiment"))  # fmt: skip
     chosen, guard, notes = guarded_search(pool, count, seed)
     best = guard.best
     grid = own = pool.blocks[chosen]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["DEG", "GPA", "HOUR", "MM", "MRAD", "PPM", "SI_OF", "UM", "URAD", "clock"]
+__all__ = ["DEG", "GPA", "HOUR", "MM", "MRAD", "PPM", "SI_OF", "UM", "URAD", "clock", "counted"]
 
 MM = 1e-3
 UM = 1e-6
@@ -49,3 +49,8 @@ def clock(seconds: float) -> str:
     """A time in s as hours and minutes."""
     hours, minutes = divmod(round(seconds / 60.0), 60)
     return f"{hours} h {minutes:02d} min"
+
+
+def counted(number: int, noun: str) -> str:
+    """A number of things in words: ``1 pose``, ``2 poses``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from doe.capsules import capsules
-from doe.distances import box_gap_axes, crosses_box, segment_box_distance
+from doe.distances import box_distance, box_gap_axes, crosses_box, segment_box_distance
 from doe.feasible import check
 from doe.gaps import gaps_of
 from doe.weights import weights
@@ -69,6 +69,27 @@ def test_boxes_overlap_where_coal_says_so_and_the_gap_is_never_more_than_the_dis
     assert (gap[theirs > 0] <= theirs[theirs > 0] + 1e-5).all()
     assert (gap[theirs > 0] >= theirs[theirs > 0] / np.sqrt(3) - 1e-5).all()
     assert 50 < (gap > 0).sum() < 280
+    exact = box_distance(centres, upright, half, other, other_half)
+    np.testing.assert_allclose(exact[theirs > 1e-6], theirs[theirs > 1e-6], atol=2e-5)
+    assert (exact[theirs > 1e-6] > 1.05 * gap[theirs > 1e-6]).sum() > 10  # the gap alone is too small
+
+
+def test_a_body_beside_a_corner_is_refused_only_within_the_clearance_itself():
+    study = cell(boxes=(CABINET,), self_collision=False, clearance=0.1)
+    q, robot = poses(study, 400), study.robot
+    frames, gaps = forward(robot, q), gaps_of(study)
+    tops = gaps.weights.tops(frames)
+    load = [case.depth > 0 for case in study.loads].index(True)
+    turn = robot.world_R_base
+    obstacle = box(CABINET.centre, CABINET.half, CABINET.rotation)
+    centres = gaps.weights.centres(tops)[:, load] @ turn.T
+    theirs = np.array([distance(box(c, BLOCK.size / 2, np.eye(3)), obstacle) for c in centres])
+    alone = replace(gaps, weights=replace(gaps.weights, hang=np.zeros_like(gaps.weights.hang)))
+    ours = alone._hung_to_box(gaps.weights.below(tops, gaps.weights.hang), gaps.boxes[0])[:, load]
+    near = (theirs > 1e-6) & (theirs < 0.1)
+    assert near.sum() > 3
+    np.testing.assert_allclose(ours[near], theirs[near], atol=2e-5)
+    assert (ours[theirs >= 0.1 + 1e-5] >= 0.1).all()
 
 
 # ---- the arm in its cell

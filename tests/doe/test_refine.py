@@ -211,6 +211,28 @@ def test_a_saddle_point_is_left():
     assert result.value_after**0.5 < 0.74949 + 0.6e-5
 
 
+def test_same_visits_of_a_long_plan_stay_together_and_count_as_often():
+    watching = observer(arm_study(DOWN))
+    q = np.repeat(np.deg2rad([[0.0, 0.0, 0.0], [0.0, 0.0, 180.0]]), 25, axis=0)
+    target = target_rows(watching, identifiable(np.eye(2)[None]))[0] / MICRO
+    asked = []
+
+    def allowed(moved):
+        asked.append(moved)
+        return np.ones(len(moved), dtype=bool)
+
+    loads = np.zeros((50, 1), dtype=np.int64)
+    result = refine(watching, q, loads, np.arange(2), target, **UNBOUNDED, allowed=allowed)
+    assert len(np.unique(result.q, axis=0)) == 2
+    assert all(moved.shape == (50, 3) for moved in asked)
+    assert (result.q[:25] == result.q[0]).all()
+    assert (result.q[25:] == result.q[25]).all()
+    rows = watching.blocks(result.q, loads).reshape(-1, 2)
+    value = np.trace(target @ np.linalg.inv(rows.T @ rows) @ target.T)
+    assert result.value_after == pytest.approx(value, rel=1e-9)
+    assert (25 * value) ** 0.5 < 0.74949 + 0.6e-5
+
+
 # --- limits ----------------------------------------------------------------------------------------------------------
 
 
