@@ -32,7 +32,7 @@ STALLED = 5  # rounds that have to lower the value
 QUICK, THOROUGH = 12, 30  # steps of an ascent
 HOPEFUL = 0.8  # of the largest sensitivity: starts that reach this in a few steps go on
 CLOSED = 1e-4  # relative gap at which the last word is asked for
-TOGETHER = 75  # starts that climb together
+TOGETHER = 50  # starts that climb together, at most
 SAME, NEAR = 1e-3, 0.1  # of the scale: new columns in one such cell are one; columns that are one start
 
 
@@ -206,7 +206,8 @@ class _Search:
 
     def _ascended(self, factor: Floats, x: Floats, choice: Ints, steps: int) -> tuple[Floats, Floats]:
         """`ascend`, some starts at a time."""
-        parts = [slice(start, start + TOGETHER) for start in range(0, len(x), TOGETHER)]
+        pieces = 2 * -(-len(x) // (2 * TOGETHER))  # an even number, all of about one size
+        parts = np.array_split(np.arange(len(x)), max(pieces, 1))
         work = partial(_climb, self.region, factor, steps)
         ended = list(self.executor.map(work, [(x[part], choice[part]) for part in parts]))
         return np.concatenate([x[:0], *(each[0] for each in ended)]), np.concatenate([[], *(each[1] for each in ended)])

@@ -27,7 +27,7 @@ T = TypeVar("T")
 U = TypeVar("U")
 
 _WAIT = 10  # s until a scheduler must have answered
-_START = 2.0  # s of work left that are worth starting processes for
+_START = 2.0  # s of one kind of work, done and left, that are worth starting processes for
 _SEND = 0.02  # s of work of one piece that are worth sending it to a process that runs
 
 
@@ -66,11 +66,12 @@ HERE: Executor = _Here()
 class _Processes:
     """Processes of this machine, for work that is worth it; short work is done here.
 
-    The first piece of each kind of work is done here, and shows how long one takes. Where a piece is done changes
+    The first pieces of each kind of work are done here, and show how long one takes. Where a piece is done changes
     nothing but the time.
 
     Attributes:
-        seconds: Of one piece of each kind of work.
+        seconds: Of the last piece of each kind of work that was done here.
+        spent: Seconds of all of them; work that has taken long so far is expected to go on.
     """
 
     def __init__(self, start: Callable[[], Any]) -> None:
@@ -78,21 +79,27 @@ class _Processes:
         self._start = start
         self._pool: Any = None
         self.seconds: dict[str, float] = {}
+        self.spent: dict[str, float] = {}
 
     def map(self, work: Callable[[T], U], items: Sequence[T]) -> Iterator[U]:
         """See `Executor.map`."""
-        kind, left = _kind(work), list(items)
-        if kind not in self.seconds and left:
+        kind = _kind(work)
+        for place, item in enumerate(items):
+            if self._worth(kind, len(items) - place):
+                yield from self._sent(work, items[place:])
+                return
             began = perf_counter()
-            first = _alone(work, left.pop(0))
+            result = _alone(work, item)
             self.seconds[kind] = perf_counter() - began
-            yield first
-        yield from self._sent(work, left) if self._worth(kind, len(left)) else HERE.map(work, left)
+            self.spent[kind] = self.spent.get(kind, 0.0) + self.seconds[kind]
+            yield result
 
     def _worth(self, kind: str, pieces: int) -> bool:
         """True if pieces are to be sent away."""
-        piece = self.seconds.get(kind, 0.0)
-        return pieces > 1 and (piece > _SEND if self._pool is not None else piece * pieces > _START)
+        piece = self.seconds.get(kind)
+        if piece is None or pieces < 2:
+            return False
+        return piece > _SEND if self._pool is not None else self.spent.get(kind, 0.0) + piece * pieces > _START
 
     def _sent(self, work: Callable[[T], U], items: Sequence[T]) -> Iterator[U]:
         """The pieces of the processes, which are started with the first ones."""

@@ -31,10 +31,8 @@ __all__ = ["Observer", "error_rows", "identifiable", "keep_columns", "observer",
 
 _CHUNK = 4096  # poses at a time: the fields of one chunk stay in cache
 _WEAK = 2e-5  # share of the strongest column of the same unit: six digits of an angle, and no joint of a real arm
-_NEGLIGIBLE = (
-    1e-6,
-    1e-3,
-)  # share of the largest error at the test poses: of what is not seen, of what is seen too weakly
+# share of the largest error at the test poses that does not count: of what is not seen, of what is seen too weakly
+_NEGLIGIBLE = (1e-6, 1e-3)
 
 
 @dataclass(frozen=True, eq=False)

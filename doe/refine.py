@@ -31,10 +31,8 @@ from identify.threads import one_thread
 
 __all__ = ["Others", "Refinement", "can_refine", "refine"]
 
-_LONG = (
-    40  # visits; in longer plans the same ones stay together, and beyond as many different ones iterations are fewer
-)
-_FEWEST = 60  # of these
+_LONG = 40  # visits; in longer plans the same ones stay together, and so many different ones get fewer iterations
+_FEWEST = 60  # of these iterations
 _ASIDE = 0.002  # rad: the solver starts this far from the plan, so that it leaves a saddle point
 _APART = 0.02  # rad: visits of one pose start this far from each other
 _CLEARANCE = 1e-6  # m above the floor that the solver keeps, so that its rounding does not break it
