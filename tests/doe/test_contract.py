@@ -35,7 +35,6 @@ def errors_at_test_poses(whole, found, rng, count):
     return 1e3 * np.stack(errors, axis=1)
 
 
-@pytest.mark.slow
 def test_the_stated_confidence_holds_in_simulated_measurements(tmp_path):
     """150 data sets are simulated and identified, and every result is used 40 times at each test pose."""
     settings = {"poses": None, "tolerance_mm": 0.0125, "confidence": 0.9, "candidates": 200}

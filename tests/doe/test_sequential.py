@@ -133,7 +133,6 @@ def tolerance(folder, value, **more):
     return study(folder, KR270, plan={"poses": None, "tolerance_mm": value, "candidates": 150, **more})
 
 
-@pytest.mark.slow
 def test_the_fewest_more_visits_are_planned_and_none_where_it_is_enough(tmp_path):
     whole = tolerance(tmp_path, 0.0768)
     alone = plan(whole)
