@@ -94,7 +94,8 @@ def plan(
     proven bound; exchange and local search make it a plan of n experiments. Off the grid, column generation over
     all poses gives further candidates and an estimate of what is best anywhere; the plan is exchanged with them
     and all its joint angles are moved; the visits are put in the order of measuring. Where the study leaves the
-    tracker's station or the markers open, they are chosen first.
+    tracker's station or the markers open, they are chosen first. Loads with ranges stand among the candidates in some
+    settings, which are moved together with the joint angles.
 
     Args:
         study: The study; its ``[plan]`` says what is wanted.
