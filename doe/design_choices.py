@@ -128,8 +128,9 @@ def decide(study: Study, *, seed: int, executor: Executor = HERE) -> tuple[Study
     complete = sets * len(stations) <= _TRIED
     if complete:
         judge.all([(place, mounted) for place in stations for mounted in combinations(study.marker_choices, count)])
-    for station in () if complete else stations:
-        judge.exchange(station, study.marker_choices, count)
+    else:
+        for station in stations:
+            judge.exchange(station, study.marker_choices, count)
     tried = tuple(sorted(judge.judged.values(), key=lambda option: option.order))
     best = tried[0]
     if not np.isfinite(best.value):

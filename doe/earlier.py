@@ -41,11 +41,6 @@ class Earlier:
         """Make the array read-only."""
         object.__setattr__(self, "refused", frozen(self.refused))
 
-    @property
-    def selective(self) -> bool:
-        """True if there are poses that could not be measured."""
-        return bool(len(self.refused))
-
     def clear(self, study: Study, q: Floats) -> np.ndarray:
         """(N,) True for poses (N, n) in reach that keep the distance to every refused one in at least one joint."""
         kept = np.ones(len(q), dtype=bool) if self.reached is None else self.reached(q)
@@ -66,7 +61,7 @@ def without_refused(study: Study, drawn: Candidates, earlier: Earlier) -> Candid
     Raises:
         Infeasible: None is left.
     """
-    if not earlier.selective:
+    if not len(earlier.refused):
         return drawn
     kept = replace(earlier, reached=None).clear(study, drawn.q)[drawn.pose]
     if not kept.any():
